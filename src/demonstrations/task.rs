@@ -1,0 +1,62 @@
+//! What a task measures of a motion: the paper's `G` (eq. 15), and whether the motion is one.
+
+use crate::parameters::TaskParameters;
+use crate::trajectory::Motion;
+
+/// Why a motion has no empirical task parameters.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{detail}")]
+pub struct TaskMeasureError {
+    /// Fact, number, limit: `the tilt reaches 61 of the 70 degrees that are a pour`.
+    pub detail: String,
+}
+
+/// A bound of validity that a motion breaks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Violation {
+    /// Name of the bound, as in the task's TOML.
+    pub bound: &'static str,
+    /// What was measured.
+    pub value: f64,
+    /// The limit.
+    pub limit: f64,
+    /// Unit of both.
+    pub unit: &'static str,
+}
+
+impl std::fmt::Display for Violation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { bound, value, limit, unit } = self;
+        write!(f, "{bound} {value:.3} {unit}, limit {limit:.3} {unit}")
+    }
+}
+
+/// A quantity that describes the manner of a motion, such as the duration of the pour.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Factor {
+    /// Name, such as `pour_duration`.
+    pub name: &'static str,
+    /// Unit, such as `s`.
+    pub unit: &'static str,
+    /// The value.
+    pub value: f64,
+}
+
+/// What a task measures of a motion. Nothing that models, trains or serves knows more of it.
+pub trait Task: std::fmt::Debug + Send + Sync {
+    /// Name, such as `pouring`.
+    fn name(&self) -> &'static str;
+
+    /// `G(x)`: the task parameters that the motion achieves, in the order of the task space.
+    ///
+    /// # Errors
+    /// When the motion does not show the task, such as one that never pours.
+    fn empirical_task(&self, motion: &Motion) -> Result<TaskParameters, TaskMeasureError>;
+
+    /// Every bound of validity that the motion breaks; none for a valid motion.
+    fn violations(&self, motion: &Motion) -> Vec<Violation>;
+
+    /// Manner factors of the motion, always the same ones in the same order; empty where the motion
+    /// does not show the task.
+    fn factors(&self, motion: &Motion) -> Vec<Factor>;
+}

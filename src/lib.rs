@@ -1,0 +1,63 @@
+//! Learned movement primitives for ROS 2.
+//!
+//! The Task-Conditioned Variational Autoencoder (TC-VAE; Noseworthy, Paul, Roy, Park and Roy,
+//! *Task-Conditioned Variational Autoencoders for Learning Movement Primitives*, CoRL 2019)
+//! separates what a motion must achieve, the task parameters `w`, from how it is done, the
+//! manner parameters `h`. This crate trains such models from demonstrations, and serves them
+//! as checked end-effector and joint trajectories.
+//!
+//! # Modules
+//! Each module may use those above it and none below.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`parameters`] | task and manner parameters and the spaces that they live in |
+//! | [`trajectory`] | trajectories over phase and over time |
+//! | [`pose`] | end-effector poses, and how they become 6-D states |
+//! | [`primitive`] | the traits of a movement primitive |
+//! | [`kinematics`] | chains, forward kinematics, inverse kinematics of whole paths, timing |
+//! | `primitives` | the baselines: DMP, ProMP, TP-GMM |
+//! | [`model`] | the TC-VAE: its networks, its objective, and its packed decoder |
+//! | [`demonstrations`] | tasks, what they measure, and the demonstrations of them |
+//! | [`evaluation`] | SUCCESS, ROBUSTNESS, leak, validity |
+//! | `training` | the alternating optimisation (feature `train`) |
+//! | [`serving`] | the state and the rules of the node, without any I/O |
+//!
+//! The adapters, [`config`], [`artifact`], [`urdf`], `bag`, [`mime`], `ros`
+//! and [`report`], don't know each other; the two binaries wire them together.
+
+pub mod parameters;
+
+pub mod trajectory;
+
+pub mod pose;
+
+pub mod primitive;
+
+pub mod kinematics;
+
+pub mod model;
+
+pub mod demonstrations;
+
+pub mod evaluation;
+
+#[cfg(feature = "train")]
+pub mod training;
+
+pub mod serving;
+
+// Adapters: they don't know each other; the binaries wire them.
+pub mod artifact;
+#[cfg(feature = "bag")]
+pub mod bag;
+pub mod config;
+pub mod mime;
+pub mod report;
+#[cfg(feature = "ros")]
+pub mod ros;
+pub mod urdf;
+
+pub use parameters::{MannerParameters, TaskParameters, TaskSpace};
+pub use primitive::{MannerConditioned, MovementPrimitive};
+pub use trajectory::{EndEffectorTrajectory, JointTrajectory, Trajectory};

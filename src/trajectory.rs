@@ -1,0 +1,178 @@
+//! Trajectories over phase, as the model sees them, and over time, as a robot follows them.
+
+use nalgebra::Isometry3;
+
+/// Why values are not a trajectory.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrajectoryError {
+    /// Fewer than two steps.
+    #[error("a trajectory needs at least 2 steps; this one has {steps}")]
+    TooShort {
+        /// Steps that it has.
+        steps: usize,
+    },
+    /// The number of values is not a multiple of the dimension.
+    #[error("{values} values are not a whole number of states of {dim} values")]
+    Ragged {
+        /// Number of values.
+        values: usize,
+        /// Values of one state.
+        dim: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("value {dim} of step {step} is {value}; a finite number is needed")]
+    NotFinite {
+        /// Step of the value.
+        step: usize,
+        /// Place of the value in its state.
+        dim: usize,
+        /// The value.
+        value: f64,
+    },
+}
+
+/// States at equal steps of phase, shape `[steps, dim]`, in the unit of the state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trajectory {
+    dim: usize,
+    values: Vec<f64>,
+}
+
+impl Trajectory {
+    /// States of `dim` values each, one after the other.
+    ///
+    /// # Errors
+    /// Fewer than two states, an incomplete last state, a value that is not finite.
+    pub fn new(dim: usize, values: Vec<f64>) -> Result<Self, TrajectoryError> {
+        if dim == 0 || values.len() % dim != 0 {
+            return Err(TrajectoryError::Ragged { values: values.len(), dim });
+        }
+        if values.len() < 2 * dim {
+            return Err(TrajectoryError::TooShort { steps: values.len() / dim });
+        }
+        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+            let value = values[i];
+            return Err(TrajectoryError::NotFinite { step: i / dim, dim: i % dim, value });
+        }
+        Ok(Self { dim, values })
+    }
+
+    /// Number of states, `T`.
+    pub fn steps(&self) -> usize {
+        self.values.len() / self.dim
+    }
+
+    /// Values of one state, `D`.
+    pub fn dim(&self) -> usize {
+        self.dim
+    }
+
+    /// The state at step `t`, `dim` values.
+    pub fn state(&self, t: usize) -> &[f64] {
+        &self.values[t * self.dim..(t + 1) * self.dim]
+    }
+
+    /// All states in their order.
+    pub fn states(&self) -> impl ExactSizeIterator<Item = &[f64]> {
+        self.values.chunks_exact(self.dim)
+    }
+
+    /// All values, `[steps, dim]` row by row.
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// The same motion in `steps` states at equal steps, interpolated linearly; the first and the
+    /// last state stay.
+    ///
+    /// # Panics
+    /// When `steps` is below 2.
+    #[must_use]
+    pub fn resampled(&self, steps: usize) -> Self {
+        assert!(steps >= 2, "a trajectory has at least 2 steps");
+        let scale = (self.steps() - 1) as f64 / (steps - 1) as f64;
+        let mut values = Vec::with_capacity(steps * self.dim);
+        for i in 0..steps {
+            let at = i as f64 * scale;
+            let t = (at.floor() as usize).min(self.steps() - 2);
+            let share = at - t as f64;
+            let pair = self.state(t).iter().zip(self.state(t + 1));
+            values.extend(pair.map(|(a, b)| a + share * (b - a)));
+        }
+        Self { dim: self.dim, values }
+    }
+}
+
+/// A trajectory that takes a time: the states are equally spaced from 0 to `duration_secs`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// The states.
+    pub states: Trajectory,
+    /// Time from the first state to the last.
+    pub duration_secs: f64,
+}
+
+impl Motion {
+    /// Time between two states.
+    pub fn step_secs(&self) -> f64 {
+        self.duration_secs / (self.states.steps() - 1) as f64
+    }
+}
+
+/// End-effector poses in the base frame over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EndEffectorTrajectory {
+    /// Time of each pose from the start, strictly increasing.
+    pub times_secs: Vec<f64>,
+    /// The tip in the base frame.
+    pub base_from_tip: Vec<Isometry3<f64>>,
+}
+
+/// Joint positions and velocities over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointTrajectory {
+    /// Names of the joints, in the order of the values.
+    pub joint_names: Vec<String>,
+    /// Time of each point from the start, strictly increasing.
+    pub times_secs: Vec<f64>,
+    /// One vector per point: rad, or m for prismatic joints.
+    pub positions: Vec<Vec<f64>>,
+    /// One vector per point: rad/s, or m/s for prismatic joints.
+    pub velocities: Vec<Vec<f64>>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(steps: usize) -> Trajectory {
+        let values = (0..steps).flat_map(|i| [i as f64, -2.0 * i as f64]).collect();
+        Trajectory::new(2, values).unwrap()
+    }
+
+    #[test]
+    fn resampling_a_line_keeps_the_line_and_its_ends() {
+        let resampled = line(11).resampled(4);
+        assert_eq!(resampled.steps(), 4);
+        for (i, state) in resampled.states().enumerate() {
+            let expected = 10.0 * i as f64 / 3.0;
+            assert!((state[0] - expected).abs() < 1e-12);
+            assert!((state[1] + 2.0 * expected).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_value_that_is_not_finite_is_refused_with_its_place() {
+        let error = Trajectory::new(2, vec![0.0, 0.0, 1.0, f64::INFINITY]).unwrap_err();
+        assert!(matches!(error, TrajectoryError::NotFinite { step: 1, dim: 1, .. }));
+    }
+
+    #[test]
+    fn one_state_is_no_trajectory() {
+        assert!(matches!(
+            Trajectory::new(3, vec![0.0; 3]),
+            Err(TrajectoryError::TooShort { steps: 1 })
+        ));
+    }
+}
