@@ -39,5 +39,5 @@ pub trait MannerConditioned: MovementPrimitive {
     fn decode(&self, w: &TaskParameters, h: &MannerParameters) -> Generated;
 
     /// A manner from the prior `p(h)`, cut off at the bounds of the space.
-    fn sample_manner<R: Rng + ?Sized>(&self, rng: &mut R) -> MannerParameters;
+    fn sample_manner(&self, rng: &mut dyn Rng) -> MannerParameters;
 }

@@ -14,4 +14,4 @@ pub use request::{
 
 mod settings;
 
-pub use settings::{MannerMode, OutOfDistribution, Settings, StartPolicy};
+pub use settings::{MannerMode, OutOfDistribution, Settings};

@@ -22,16 +22,6 @@ pub enum OutOfDistribution {
     Warn,
 }
 
-/// What happens when the arm does not stand at the first point.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum StartPolicy {
-    /// The trajectory starts at its own first point, whatever the arm does.
-    #[default]
-    Ignore,
-    /// The request is refused.
-    Refuse,
-}
-
 /// The settings of a server.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
@@ -51,9 +41,7 @@ pub struct Settings {
     pub acceleration_scale: f64,
     /// What happens to a task outside the trained region.
     pub out_of_distribution: OutOfDistribution,
-    /// What happens when the arm does not stand at the first point.
-    pub start_policy: StartPolicy,
-    /// Largest distance of a joint from the first point that counts as standing there (rad).
+    /// Largest distance of a joint between the `start` of a request and the first point (rad).
     pub start_tolerance_rad: f64,
 }
 
@@ -68,7 +56,6 @@ impl Default for Settings {
             velocity_scale: 1.0,
             acceleration_scale: 1.0,
             out_of_distribution: OutOfDistribution::default(),
-            start_policy: StartPolicy::default(),
             start_tolerance_rad: 0.05,
         }
     }
