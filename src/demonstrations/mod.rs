@@ -1,8 +1,9 @@
 //! Demonstrations, the tasks that they show, and what those tasks measure of a motion.
 
+pub mod arcs;
 pub mod task;
 
-pub use task::{Task, TaskMeasureError, Violation};
+pub use task::{Task, TaskConfig, TaskMeasureError, Violation};
 
 use crate::parameters::TaskParameters;
 use crate::trajectory::Motion;
@@ -16,4 +17,15 @@ pub struct Demonstration {
     pub w: TaskParameters,
     /// The motion.
     pub motion: Motion,
+}
+
+/// Demonstrations in the three parts that learning needs: to fit, to choose, to report.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Splits {
+    /// What the networks are fitted to.
+    pub train: Vec<Demonstration>,
+    /// What settings are chosen on.
+    pub validation: Vec<Demonstration>,
+    /// What nobody looks at while choosing.
+    pub test: Vec<Demonstration>,
 }

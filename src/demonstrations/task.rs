@@ -1,5 +1,8 @@
 //! What a task measures of a motion: the paper's `G` (eq. 15), and whether the motion is one.
 
+use serde::{Deserialize, Serialize};
+
+use super::arcs::ArcsTask;
 use crate::parameters::TaskParameters;
 use crate::trajectory::Motion;
 
@@ -38,6 +41,8 @@ pub struct Factor {
     pub name: &'static str,
     /// Unit, such as `s`.
     pub unit: &'static str,
+    /// What a person reads after number and unit: `above 70 degrees`.
+    pub phrase: &'static str,
     /// The value.
     pub value: f64,
 }
@@ -59,4 +64,22 @@ pub trait Task: std::fmt::Debug + Send + Sync {
     /// Manner factors of the motion, always the same ones in the same order; empty where the motion
     /// does not show the task.
     fn factors(&self, motion: &Motion) -> Vec<Factor>;
+}
+
+/// A task with its settings, as data sets and model files store it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "task", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum TaskConfig {
+    /// Arcs of a circle around a centre.
+    Arcs(ArcsTask),
+}
+
+impl TaskConfig {
+    /// The task that measures motions.
+    pub fn task(&self) -> &dyn Task {
+        match self {
+            Self::Arcs(task) => task,
+        }
+    }
 }
