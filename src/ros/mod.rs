@@ -1,1 +1,3 @@
-//! To be written.
+//! The node's ROS 2 side.
+
+pub mod messages;

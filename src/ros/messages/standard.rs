@@ -1,0 +1,331 @@
+//! Messages of ROS's own packages, each module named as its package.
+
+/// Time and duration.
+pub mod builtin_interfaces {
+    use serde::{Deserialize, Serialize};
+
+    /// A point in time: seconds since the epoch, or since the simulation began.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    pub struct Time {
+        /// Whole seconds, rounded down.
+        pub sec: i32,
+        /// The rest, 0 to 999 999 999.
+        pub nanosec: u32,
+    }
+
+    /// A span of time.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    pub struct Duration {
+        /// Whole seconds, rounded down.
+        pub sec: i32,
+        /// The rest, 0 to 999 999 999.
+        pub nanosec: u32,
+    }
+
+    impl Duration {
+        /// The nearest duration that the message can hold; NaN becomes zero.
+        #[must_use]
+        pub fn from_secs_f64(secs: f64) -> Self {
+            let whole = secs.floor();
+            let nanos = ((secs - whole) * 1e9).round();
+            // Rounding may reach a full second.
+            let (whole, nanos) = if nanos >= 1e9 { (whole + 1.0, 0.0) } else { (whole, nanos) };
+            Self { sec: whole as i32, nanosec: nanos as u32 }
+        }
+
+        /// The same in seconds.
+        #[must_use]
+        pub fn as_secs_f64(self) -> f64 {
+            f64::from(self.sec) + f64::from(self.nanosec) * 1e-9
+        }
+    }
+
+    super::super::messages!(Time, Duration);
+}
+
+/// Header and string.
+pub mod std_msgs {
+    use super::builtin_interfaces::Time;
+    use serde::{Deserialize, Serialize};
+
+    /// When and in which frame.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct Header {
+        /// When the data was true; zero where the sender does not say.
+        pub stamp: Time,
+        /// The frame that the data is given in.
+        pub frame_id: String,
+    }
+
+    /// A text (`std_msgs/msg/String`).
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "String")]
+    pub struct Text {
+        /// The text.
+        pub data: String,
+    }
+
+    super::super::messages!(Header, Text);
+}
+
+/// Points, poses, transforms, twists.
+pub mod geometry_msgs {
+    use super::std_msgs::Header;
+    use serde::{Deserialize, Serialize};
+
+    /// A point, m.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Point {
+        /// Along x.
+        pub x: f64,
+        /// Along y.
+        pub y: f64,
+        /// Along z.
+        pub z: f64,
+    }
+
+    /// A direction, displacement or rate.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Vector3 {
+        /// Along x.
+        pub x: f64,
+        /// Along y.
+        pub y: f64,
+        /// Along z.
+        pub z: f64,
+    }
+
+    /// A rotation as a quaternion. The default is ROS's: no rotation.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    pub struct Quaternion {
+        /// First imaginary part.
+        pub x: f64,
+        /// Second imaginary part.
+        pub y: f64,
+        /// Third imaginary part.
+        pub z: f64,
+        /// Real part.
+        pub w: f64,
+    }
+
+    impl Default for Quaternion {
+        fn default() -> Self {
+            Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
+        }
+    }
+
+    /// Position and orientation.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Pose {
+        /// Where, m.
+        pub position: Point,
+        /// How turned.
+        pub orientation: Quaternion,
+    }
+
+    /// A transform: rotate, then translate.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Transform {
+        /// Displacement, m.
+        pub translation: Vector3,
+        /// Rotation.
+        pub rotation: Quaternion,
+    }
+
+    /// Velocity, or its derivative.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Twist {
+        /// m/s.
+        pub linear: Vector3,
+        /// rad/s.
+        pub angular: Vector3,
+    }
+
+    /// A point in a named frame.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct PointStamped {
+        /// When and in which frame.
+        pub header: Header,
+        /// The point, m.
+        pub point: Point,
+    }
+
+    /// A pose in a named frame.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct PoseStamped {
+        /// When and in which frame.
+        pub header: Header,
+        /// The pose.
+        pub pose: Pose,
+    }
+
+    /// A transform between two named frames: `header.frame_id` from `child_frame_id`.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct TransformStamped {
+        /// When, and the parent frame.
+        pub header: Header,
+        /// The child frame.
+        pub child_frame_id: String,
+        /// Takes the child's coordinates to the parent's.
+        pub transform: Transform,
+    }
+
+    super::super::messages!(
+        Point,
+        Vector3,
+        Quaternion,
+        Pose,
+        Transform,
+        Twist,
+        PointStamped,
+        PoseStamped,
+        TransformStamped,
+    );
+}
+
+/// The transform tree.
+pub mod tf2_msgs {
+    use super::geometry_msgs::TransformStamped;
+    use serde::{Deserialize, Serialize};
+
+    /// Some edges of the transform tree, as on `/tf` and `/tf_static`.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct TFMessage {
+        /// The edges.
+        pub transforms: Vec<TransformStamped>,
+    }
+
+    super::super::messages!(TFMessage);
+}
+
+/// The state of joints.
+pub mod sensor_msgs {
+    use super::std_msgs::Header;
+    use serde::{Deserialize, Serialize};
+
+    /// Positions, velocities and efforts of named joints; an empty list means "not given".
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct JointState {
+        /// When.
+        pub header: Header,
+        /// The joints.
+        pub name: Vec<String>,
+        /// rad, or m for a prismatic joint.
+        pub position: Vec<f64>,
+        /// rad/s or m/s.
+        pub velocity: Vec<f64>,
+        /// N m or N.
+        pub effort: Vec<f64>,
+    }
+
+    super::super::messages!(JointState);
+}
+
+/// Trajectories of joints and of frames.
+pub mod trajectory_msgs {
+    use super::builtin_interfaces::Duration;
+    use super::geometry_msgs::{Transform, Twist};
+    use super::std_msgs::Header;
+    use serde::{Deserialize, Serialize};
+
+    /// One point of a joint trajectory; each list is empty or has one value per joint.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct JointTrajectoryPoint {
+        /// rad or m.
+        pub positions: Vec<f64>,
+        /// rad/s or m/s.
+        pub velocities: Vec<f64>,
+        /// rad/s^2 or m/s^2.
+        pub accelerations: Vec<f64>,
+        /// N m or N.
+        pub effort: Vec<f64>,
+        /// After the start of the trajectory.
+        pub time_from_start: Duration,
+    }
+
+    /// A joint trajectory.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct JointTrajectory {
+        /// When it starts; stamp 0 means at once.
+        pub header: Header,
+        /// The joints, in the order of the points' lists.
+        pub joint_names: Vec<String>,
+        /// The points, in the order of time.
+        pub points: Vec<JointTrajectoryPoint>,
+    }
+
+    /// One point of a trajectory of frames; each list is empty or has one value per frame.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct MultiDOFJointTrajectoryPoint {
+        /// Where the frames are.
+        pub transforms: Vec<Transform>,
+        /// How fast they move.
+        pub velocities: Vec<Twist>,
+        /// How their speed changes.
+        pub accelerations: Vec<Twist>,
+        /// After the start of the trajectory.
+        pub time_from_start: Duration,
+    }
+
+    /// A trajectory of frames, such as the tip of an arm.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct MultiDOFJointTrajectory {
+        /// When it starts, and the frame that the transforms are given in.
+        pub header: Header,
+        /// The frames that move, in the order of the points' lists.
+        pub joint_names: Vec<String>,
+        /// The points, in the order of time.
+        pub points: Vec<MultiDOFJointTrajectoryPoint>,
+    }
+
+    super::super::messages!(
+        JointTrajectoryPoint,
+        JointTrajectory,
+        MultiDOFJointTrajectoryPoint,
+        MultiDOFJointTrajectory,
+    );
+}
+
+/// Paths.
+pub mod nav_msgs {
+    use super::geometry_msgs::PoseStamped;
+    use super::std_msgs::Header;
+    use serde::{Deserialize, Serialize};
+
+    /// A sequence of poses.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Path {
+        /// When and in which frame.
+        pub header: Header,
+        /// The poses.
+        pub poses: Vec<PoseStamped>,
+    }
+
+    super::super::messages!(Path);
+}
+
+/// The trigger service.
+pub mod std_srvs {
+    use serde::{Deserialize, Serialize};
+
+    /// The request of `std_srvs/srv/Trigger`, which has no fields; ROS sends one byte in their
+    /// place.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "Trigger_Request")]
+    pub struct TriggerRequest {
+        /// Without meaning.
+        pub structure_needs_at_least_one_member: u8,
+    }
+
+    /// The response of `std_srvs/srv/Trigger`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "Trigger_Response")]
+    pub struct TriggerResponse {
+        /// Whether it worked.
+        pub success: bool,
+        /// What came of it, or why it did not work.
+        pub message: String,
+    }
+
+    super::super::messages!(TriggerRequest, TriggerResponse);
+}
