@@ -1,0 +1,331 @@
+//! The chain of joints from the base to the tip.
+
+use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
+
+use super::forward::Link;
+
+/// How a joint moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JointKind {
+    /// Turns about its axis between two limits.
+    Revolute,
+    /// Turns about its axis without limits.
+    Continuous,
+    /// Slides along its axis between two limits.
+    Prismatic,
+}
+
+/// One moving joint of a [`Chain`]. Positions are in rad, or in m for a prismatic joint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joint {
+    /// Name, as a controller knows it.
+    pub name: String,
+    /// How it moves.
+    pub kind: JointKind,
+    /// The joint's frame at position 0, in the frame of the moving joint before it (of the base for
+    /// the first joint); the fixed joints between the two are folded in.
+    pub parent_from_joint: Isometry3<f64>,
+    /// The axis in the joint's frame.
+    pub axis: Unit<Vector3<f64>>,
+    /// Smallest position; minus infinity for a continuous joint.
+    pub lower: f64,
+    /// Largest position; infinity for a continuous joint.
+    pub upper: f64,
+    /// Largest speed, rad/s or m/s.
+    pub velocity: f64,
+    /// Largest acceleration, rad/s² or m/s², where one is known. URDF files before version 1.2
+    /// have none.
+    pub acceleration: Option<f64>,
+}
+
+impl Joint {
+    /// The middle of the joint's range, and 0 for a continuous joint.
+    pub fn middle(&self) -> f64 {
+        if self.lower.is_finite() && self.upper.is_finite() {
+            0.5 * (self.lower + self.upper)
+        } else {
+            0.0
+        }
+    }
+
+    /// Distance from `position` to the nearer limit, negative outside; infinite without limits.
+    pub fn margin(&self, position: f64) -> f64 {
+        (position - self.lower).min(self.upper - position)
+    }
+}
+
+/// Why joints are not a chain.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ChainError {
+    /// Nothing moves between the base and the tip.
+    #[error("no joint moves between {base_frame:?} and {tip_frame:?}; choose a tip further out")]
+    NoJoints {
+        /// The base.
+        base_frame: String,
+        /// The tip.
+        tip_frame: String,
+    },
+    /// A joint stands twice.
+    #[error("the joint {joint:?} stands twice between the base and the tip")]
+    Duplicate {
+        /// Name of the joint.
+        joint: String,
+    },
+    /// An axis or an origin is not finite, or an axis has no direction.
+    #[error("the origin or the axis of joint {joint:?} is not a finite transform with a direction")]
+    Geometry {
+        /// Name of the joint.
+        joint: String,
+    },
+    /// The position limits leave no room, or are not finite where they must be.
+    #[error(
+        "joint {joint:?} has position limits {lower} to {upper}; give it a <limit> whose lower is \
+         below its upper"
+    )]
+    Range {
+        /// Name of the joint.
+        joint: String,
+        /// Lower limit.
+        lower: f64,
+        /// Upper limit.
+        upper: f64,
+    },
+    /// No velocity limit, without which nothing can be timed.
+    #[error(
+        "joint {joint:?} has velocity limit {velocity}; give it a <limit> with a velocity above 0"
+    )]
+    Velocity {
+        /// Name of the joint.
+        joint: String,
+        /// The limit.
+        velocity: f64,
+    },
+    /// An acceleration limit that is not above 0.
+    #[error("joint {joint:?} has acceleration limit {acceleration}; it must be above 0")]
+    Acceleration {
+        /// Name of the joint.
+        joint: String,
+        /// The limit.
+        acceleration: f64,
+    },
+}
+
+/// The moving joints from a base frame to a tip frame, in that order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chain {
+    base_frame: String,
+    tip_frame: String,
+    joints: Vec<Joint>,
+    last_joint_from_tip: Isometry3<f64>,
+    /// What forward kinematics multiplies: the joints' frames turned so that every axis is z.
+    pub(super) links: Vec<Link>,
+    /// From the last of `links` to the tip.
+    pub(super) last_link_from_tip: (nalgebra::Matrix3<f64>, Vector3<f64>),
+}
+
+impl Chain {
+    /// A chain of these joints.
+    ///
+    /// # Errors
+    /// No joint at all, a name that stands twice, a transform that is not finite, limits that
+    /// leave no room, no velocity limit.
+    pub fn new(
+        base_frame: impl Into<String>,
+        tip_frame: impl Into<String>,
+        joints: Vec<Joint>,
+        last_joint_from_tip: Isometry3<f64>,
+    ) -> Result<Self, ChainError> {
+        let (base_frame, tip_frame) = (base_frame.into(), tip_frame.into());
+        if joints.is_empty() {
+            return Err(ChainError::NoJoints { base_frame, tip_frame });
+        }
+        for (i, joint) in joints.iter().enumerate() {
+            check(joint)?;
+            if joints[..i].iter().any(|j| j.name == joint.name) {
+                return Err(ChainError::Duplicate { joint: joint.name.clone() });
+            }
+        }
+        if !is_finite(&last_joint_from_tip) {
+            return Err(ChainError::Geometry { joint: joints[joints.len() - 1].name.clone() });
+        }
+        let mut links = Vec::with_capacity(joints.len());
+        let mut aligned_from_joint = UnitQuaternion::identity();
+        for joint in &joints {
+            let joint_from_aligned = z_to(&joint.axis);
+            let transform = aligned_from_joint * joint.parent_from_joint * joint_from_aligned;
+            links.push(Link::new(&transform, joint.kind));
+            aligned_from_joint = joint_from_aligned.inverse();
+        }
+        let last = aligned_from_joint * last_joint_from_tip;
+        let last_link_from_tip =
+            (last.rotation.to_rotation_matrix().into_inner(), last.translation.vector);
+        Ok(Self { base_frame, tip_frame, joints, last_joint_from_tip, links, last_link_from_tip })
+    }
+
+    /// Name of the frame that poses are given in.
+    pub fn base_frame(&self) -> &str {
+        &self.base_frame
+    }
+
+    /// Name of the frame that follows poses.
+    pub fn tip_frame(&self) -> &str {
+        &self.tip_frame
+    }
+
+    /// The moving joints, from the base to the tip.
+    pub fn joints(&self) -> &[Joint] {
+        &self.joints
+    }
+
+    /// Number of moving joints.
+    pub fn dof(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Names of the joints, in the order of the values of a configuration.
+    pub fn joint_names(&self) -> Vec<String> {
+        self.joints.iter().map(|j| j.name.clone()).collect()
+    }
+
+    /// The tip in the frame of the last moving joint.
+    pub fn last_joint_from_tip(&self) -> &Isometry3<f64> {
+        &self.last_joint_from_tip
+    }
+
+    /// The same chain with these acceleration limits (rad/s² or m/s²), one per joint; `None` leaves
+    /// a joint without one.
+    ///
+    /// # Errors
+    /// A limit that is not above 0.
+    ///
+    /// # Panics
+    /// When `limits` has not one entry per joint.
+    pub fn with_accelerations(mut self, limits: &[Option<f64>]) -> Result<Self, ChainError> {
+        assert_eq!(limits.len(), self.dof(), "one acceleration limit per joint");
+        for (joint, &limit) in self.joints.iter_mut().zip(limits) {
+            joint.acceleration = limit;
+            check(joint)?;
+        }
+        Ok(self)
+    }
+
+    /// The configuration with every joint in the middle of its range.
+    pub fn middle(&self) -> Vec<f64> {
+        self.joints.iter().map(Joint::middle).collect()
+    }
+
+    /// Whether every value of `q` is inside its joint's limits; false for NaN.
+    ///
+    /// # Panics
+    /// When `q` has not one value per joint.
+    pub fn within_limits(&self, q: &[f64]) -> bool {
+        self.assert_dof(q);
+        self.joints.iter().zip(q).all(|(j, v)| (j.lower..=j.upper).contains(v))
+    }
+
+    /// Smallest distance of a joint to one of its limits (rad or m), negative outside; infinite
+    /// when every joint is continuous.
+    ///
+    /// # Panics
+    /// When `q` has not one value per joint.
+    pub fn margin(&self, q: &[f64]) -> f64 {
+        self.assert_dof(q);
+        self.joints.iter().zip(q).map(|(j, &v)| j.margin(v)).fold(f64::INFINITY, f64::min)
+    }
+
+    pub(super) fn assert_dof(&self, q: &[f64]) {
+        assert_eq!(q.len(), self.dof(), "a configuration has one value per joint");
+    }
+}
+
+fn check(joint: &Joint) -> Result<(), ChainError> {
+    let name = || joint.name.clone();
+    let is_unit = (joint.axis.norm() - 1.0).abs() < 1e-6;
+    if !(is_unit && is_finite(&joint.parent_from_joint)) {
+        return Err(ChainError::Geometry { joint: name() });
+    }
+    let bounded = joint.lower.is_finite() && joint.upper.is_finite();
+    let has_room = joint.lower < joint.upper;
+    if !(has_room && (bounded || joint.kind == JointKind::Continuous)) {
+        return Err(ChainError::Range { joint: name(), lower: joint.lower, upper: joint.upper });
+    }
+    if !(joint.velocity.is_finite() && joint.velocity > 0.0) {
+        return Err(ChainError::Velocity { joint: name(), velocity: joint.velocity });
+    }
+    match joint.acceleration {
+        Some(acceleration) if !(acceleration.is_finite() && acceleration > 0.0) => {
+            Err(ChainError::Acceleration { joint: name(), acceleration })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn is_finite(transform: &Isometry3<f64>) -> bool {
+    let finite = |v: &[f64]| v.iter().all(|x| x.is_finite());
+    finite(transform.translation.vector.as_slice()) && finite(transform.rotation.coords.as_slice())
+}
+
+/// A rotation that turns z into `axis`.
+fn z_to(axis: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), axis).unwrap_or_else(|| {
+        // Opposite to z: any half turn across it.
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn slide() -> Joint {
+        Joint {
+            name: "slide".into(),
+            kind: JointKind::Prismatic,
+            parent_from_joint: Isometry3::identity(),
+            axis: -Vector3::z_axis(),
+            lower: -0.5,
+            upper: 0.1,
+            velocity: 1.0,
+            acceleration: None,
+        }
+    }
+
+    fn chain(joints: Vec<Joint>) -> Result<Chain, ChainError> {
+        Chain::new("base", "tip", joints, Isometry3::translation(1.0, 0.0, 0.0))
+    }
+
+    #[test]
+    fn the_margin_is_the_distance_to_the_nearest_limit_and_negative_outside() {
+        let second = Joint { name: "second".into(), lower: -10.0, upper: 10.0, ..slide() };
+        let chain = chain(vec![slide(), second]).unwrap();
+        assert!((chain.margin(&[0.0, 0.0]) - 0.1).abs() < 1e-12);
+        assert!((chain.margin(&[-0.3, 9.95]) - 0.05).abs() < 1e-12);
+        assert!((chain.margin(&[0.3, 0.0]) + 0.2).abs() < 1e-12);
+        assert!(chain.within_limits(&[0.1, 0.0]) && !chain.within_limits(&[0.11, 0.0]));
+        assert!(!chain.within_limits(&[0.0, f64::NAN]));
+        assert_eq!(chain.middle(), [-0.2, 0.0]);
+    }
+
+    #[test]
+    fn a_joint_along_minus_z_moves_down() {
+        let tip = chain(vec![slide()]).unwrap().forward(&[0.1]);
+        assert!((tip.translation.vector - Vector3::new(1.0, 0.0, -0.1)).norm() < 1e-12);
+        assert!(tip.rotation.angle() < 1e-12);
+    }
+
+    #[test]
+    fn a_name_may_not_stand_twice() {
+        let error = chain(vec![slide(), slide()]).unwrap_err();
+        assert_eq!(error, ChainError::Duplicate { joint: "slide".into() });
+    }
+
+    #[test]
+    fn an_acceleration_limit_must_be_above_zero() {
+        let slow = chain(vec![slide()]).unwrap().with_accelerations(&[Some(2.0)]).unwrap();
+        assert_eq!(slow.joints()[0].acceleration, Some(2.0));
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(slow.clone().with_accelerations(&[Some(bad)]).is_err());
+        }
+    }
+}
