@@ -1,3 +1,8 @@
-//! The node's ROS 2 side.
+//! The node's ROS 2 side: command line, names, parameters, messages, and the wiring of topics and
+//! services to the [server](crate::serving).
 
+pub mod arguments;
+pub mod environment;
 pub mod messages;
+pub mod names;
+pub mod yaml;
