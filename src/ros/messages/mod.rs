@@ -22,3 +22,5 @@ macro_rules! messages {
 }
 use messages;
 
+#[cfg(test)]
+mod tests;

@@ -5,7 +5,9 @@ pub mod builtin_interfaces {
     use serde::{Deserialize, Serialize};
 
     /// A point in time: seconds since the epoch, or since the simulation began.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    #[derive(
+        Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize,
+    )]
     pub struct Time {
         /// Whole seconds, rounded down.
         pub sec: i32,
@@ -14,7 +16,9 @@ pub mod builtin_interfaces {
     }
 
     /// A span of time.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    #[derive(
+        Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize,
+    )]
     pub struct Duration {
         /// Whole seconds, rounded down.
         pub sec: i32,
