@@ -1,6 +1,9 @@
 //! Demonstrations, the tasks that they show, and what those tasks measure of a motion.
 
 pub mod arcs;
+pub mod mirroring;
+pub mod pouring;
+pub mod recording;
 pub mod task;
 
 pub use task::{Task, TaskConfig, TaskMeasureError, Violation};

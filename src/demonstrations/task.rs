@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::arcs::ArcsTask;
+use super::pouring::PouringTask;
 use crate::parameters::TaskParameters;
 use crate::trajectory::Motion;
 
@@ -70,9 +71,12 @@ pub trait Task: std::fmt::Debug + Send + Sync {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "task", rename_all = "snake_case")]
 #[non_exhaustive]
+#[expect(clippy::large_enum_variant, reason = "a program has one or two of them")]
 pub enum TaskConfig {
     /// Arcs of a circle around a centre.
     Arcs(ArcsTask),
+    /// Pouring from a grasped cup at a location.
+    Pouring(PouringTask),
 }
 
 impl TaskConfig {
@@ -80,6 +84,7 @@ impl TaskConfig {
     pub fn task(&self) -> &dyn Task {
         match self {
             Self::Arcs(task) => task,
+            Self::Pouring(task) => task,
         }
     }
 }

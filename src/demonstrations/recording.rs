@@ -1,0 +1,361 @@
+//! What every importer delivers, a [`JointRecording`], and how one arm's motion comes out of it.
+//!
+//! A robot with two mirrored arms has its demonstrations with either; those of the second arm are
+//! mirrored in the xz plane, joint by joint, so that all of them show the first arm.
+
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+use crate::kinematics::Chain;
+
+/// Joint angles and grippers over time, whatever file they came from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointRecording {
+    /// Name of the recording, unique among those read together.
+    pub id: String,
+    /// Time of each frame, strictly increasing.
+    pub times_secs: Vec<f64>,
+    /// Names of the joints, in the order of the values.
+    pub joint_names: Vec<String>,
+    /// One vector per frame: rad.
+    pub positions: Vec<Vec<f64>>,
+    /// The grippers, sampled at the frames.
+    pub grippers: Vec<GripperRecording>,
+}
+
+/// How far a gripper is open over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GripperRecording {
+    /// Name of the gripper, such as `left_gripper`.
+    pub name: String,
+    /// One value per frame: per cent open.
+    pub percent_open: Vec<f64>,
+}
+
+impl JointRecording {
+    /// Time from the first frame to the last.
+    pub fn duration_secs(&self) -> f64 {
+        match (self.times_secs.first(), self.times_secs.last()) {
+            (Some(first), Some(last)) => last - first,
+            _ => 0.0,
+        }
+    }
+
+    /// Mean number of frames per second; 0 for less than two frames.
+    pub fn rate_hz(&self) -> f64 {
+        let duration = self.duration_secs();
+        if duration > 0.0 { (self.times_secs.len() - 1) as f64 / duration } else { 0.0 }
+    }
+}
+
+/// Why a recording does not hold an arm.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordingError {
+    /// A joint of the arm is missing.
+    #[error("the recording has no joint {name:?}; it has {known}")]
+    JointMissing {
+        /// Name of the joint.
+        name: String,
+        /// Names of the joints that the recording has, comma-separated.
+        known: String,
+    },
+    /// The arm's gripper is missing.
+    #[error("the recording has no gripper {name:?}; it has {known}")]
+    GripperMissing {
+        /// Name of the gripper.
+        name: String,
+        /// Names of the grippers that the recording has, comma-separated.
+        known: String,
+    },
+}
+
+/// An arm in a recording: its joints from the base to the tip, and its gripper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Arm {
+    /// Name, such as `left`.
+    pub name: String,
+    /// Names of the joints, in the order of the chain.
+    pub joints: Vec<String>,
+    /// Name of the gripper.
+    pub gripper: String,
+    /// For an arm that is the mirror image of the chain's: the sign of each joint with which its
+    /// angles are those of the chain's arm in mirrored motion. Absent for the chain's own arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mirror_signs: Option<Vec<f64>>,
+}
+
+/// The robot that demonstrations were recorded on (`config/robots/*.toml`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotConfig {
+    /// Name, such as `baxter`.
+    pub name: String,
+    /// URDF file, relative to the TOML; absent for the embedded Baxter description.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub urdf: Option<String>,
+    /// The frame that poses are expressed in.
+    pub base_frame: String,
+    /// The link whose pose is learned.
+    pub tip_link: String,
+    /// The arm that is served, `base_frame` to `tip_link`.
+    pub arm: Arm,
+    /// The other arm, if demonstrations with it count when mirrored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mirrored_arm: Option<Arm>,
+}
+
+impl Default for RobotConfig {
+    /// Baxter's left arm, with the right one mirrored.
+    fn default() -> Self {
+        let joints = |side: &str| {
+            let name = |joint| format!("{side}_{joint}");
+            ["s0", "s1", "e0", "e1", "w0", "w1", "w2"].map(name).to_vec()
+        };
+        let arm = |side: &str, mirror_signs| Arm {
+            name: side.into(),
+            joints: joints(side),
+            gripper: format!("{side}_gripper"),
+            mirror_signs,
+        };
+        Self {
+            name: "baxter".into(),
+            urdf: None,
+            base_frame: "base".into(),
+            tip_link: "left_gripper".into(),
+            arm: arm("left", None),
+            mirrored_arm: Some(arm("right", Some(super::mirroring::BAXTER_SIGNS.to_vec()))),
+        }
+    }
+}
+
+impl RobotConfig {
+    /// The arms that may show a demonstration, the served one first.
+    pub fn arms(&self) -> impl Iterator<Item = &Arm> {
+        std::iter::once(&self.arm).chain(&self.mirrored_arm)
+    }
+
+    /// Names of the joints of all arms, and of their grippers.
+    pub fn channels(&self) -> Channels {
+        Channels {
+            joints: self.arms().flat_map(|a| a.joints.clone()).collect(),
+            grippers: self.arms().map(|a| a.gripper.clone()).collect(),
+        }
+    }
+}
+
+/// What an importer is to read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Channels {
+    /// Names of joints.
+    pub joints: Vec<String>,
+    /// Names of grippers.
+    pub grippers: Vec<String>,
+}
+
+/// The motion of one arm, as that of the served arm.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ArmRecording {
+    /// Name of the arm that moved.
+    pub arm: String,
+    /// Time of each frame, strictly increasing.
+    pub times_secs: Vec<f64>,
+    /// Joint angles of the served arm, rad; one vector per frame.
+    pub positions: Vec<Vec<f64>>,
+    /// The tip of the served arm in the base frame.
+    pub base_from_tip: Vec<Isometry3<f64>>,
+    /// Per cent that the gripper is open.
+    pub percent_open: Vec<f64>,
+}
+
+impl Arm {
+    /// The arm's motion in a recording; `chain` is that of the served arm.
+    ///
+    /// # Errors
+    /// A joint or the gripper is not in the recording.
+    ///
+    /// # Panics
+    /// When the arm has not as many joints (and signs) as the chain.
+    pub fn motion(
+        &self,
+        recording: &JointRecording,
+        chain: &Chain,
+    ) -> Result<ArmRecording, RecordingError> {
+        assert_eq!(self.joints.len(), chain.dof(), "the arm has the joints of the chain");
+        let place = |name: &String| {
+            let place = recording.joint_names.iter().position(|n| n == name);
+            place.ok_or_else(|| RecordingError::JointMissing {
+                name: name.clone(),
+                known: recording.joint_names.join(", "),
+            })
+        };
+        let places = self.joints.iter().map(place).collect::<Result<Vec<_>, _>>()?;
+        let gripper = recording.grippers.iter().find(|g| g.name == self.gripper);
+        let gripper = gripper.ok_or_else(|| RecordingError::GripperMissing {
+            name: self.gripper.clone(),
+            known: recording.grippers.iter().map(|g| &*g.name).collect::<Vec<_>>().join(", "),
+        })?;
+        let own = |frame: &Vec<f64>| {
+            let own: Vec<f64> = places.iter().map(|&i| frame[i]).collect();
+            match &self.mirror_signs {
+                Some(signs) => super::mirroring::mirrored_joints(&own, signs),
+                None => own,
+            }
+        };
+        let positions: Vec<Vec<f64>> = recording.positions.iter().map(own).collect();
+        Ok(ArmRecording {
+            arm: self.name.clone(),
+            times_secs: recording.times_secs.clone(),
+            base_from_tip: positions.iter().map(|q| chain.forward(q)).collect(),
+            positions,
+            percent_open: gripper.percent_open.clone(),
+        })
+    }
+}
+
+/// Why a recording is not among the demonstrations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Reason {
+    /// The files can't be read as a recording.
+    Unreadable,
+    /// Too few frames to show anything.
+    TooShort,
+    /// A joint jumps: the recording is broken.
+    Jump,
+    /// The gripper never closes on anything.
+    NoGrasp,
+    /// What was grasped never pours.
+    NoPour,
+    /// More than one pour.
+    SeveralPours,
+    /// The recording ends, or the gripper opens, before the pour is over.
+    Incomplete,
+    /// The motion leaves the bounds of the task.
+    OutOfRegion,
+    /// The user left it out.
+    User,
+}
+
+impl std::fmt::Display for Reason {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Unreadable => "unreadable",
+            Self::TooShort => "too_short",
+            Self::Jump => "jump",
+            Self::NoGrasp => "no_grasp",
+            Self::NoPour => "no_pour",
+            Self::SeveralPours => "several_pours",
+            Self::Incomplete => "incomplete",
+            Self::OutOfRegion => "out_of_region",
+            Self::User => "user",
+        })
+    }
+}
+
+/// The recorded reason for leaving a recording out, with its numbers.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{reason}: {detail}")]
+pub struct Exclusion {
+    /// The kind of reason.
+    pub reason: Reason,
+    /// Fact, number, limit: `the tilt reaches 61 of the 70 degrees that are a pour`.
+    pub detail: String,
+}
+
+impl Exclusion {
+    /// An exclusion for this reason.
+    pub fn new(reason: Reason, detail: impl Into<String>) -> Self {
+        Self { reason, detail: detail.into() }
+    }
+}
+
+/// The largest change of a joint within a window of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Jump {
+    /// Name of the joint.
+    pub joint: String,
+    /// When the window ends.
+    pub at_secs: f64,
+    /// Largest value less smallest value of the joint inside the window.
+    pub change_rad: f64,
+}
+
+impl JointRecording {
+    /// The largest change of any joint within `window_secs`; none for an empty recording.
+    pub fn largest_jump(&self, window_secs: f64) -> Option<Jump> {
+        let mut largest: Option<Jump> = None;
+        for (j, name) in self.joint_names.iter().enumerate() {
+            let mut first = 0;
+            for i in 0..self.positions.len() {
+                // A hair of tolerance, so that a window of 20 steps of 10 ms holds 21 frames.
+                while self.times_secs[i] - self.times_secs[first] > window_secs + 1e-9 {
+                    first += 1;
+                }
+                let window = self.positions[first..=i].iter().map(|q| q[j]);
+                let (low, high) = window
+                    .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+                if largest.as_ref().is_none_or(|l| high - low > l.change_rad) {
+                    largest = Some(Jump {
+                        joint: name.clone(),
+                        at_secs: self.times_secs[i],
+                        change_rad: high - low,
+                    });
+                }
+            }
+        }
+        largest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn recording(values: impl IntoIterator<Item = f64>) -> JointRecording {
+        let positions: Vec<Vec<f64>> = values.into_iter().map(|v| vec![v]).collect();
+        JointRecording {
+            id: "r".into(),
+            times_secs: (0..positions.len()).map(|i| 0.01 * i as f64).collect(),
+            joint_names: vec!["j".into()],
+            positions,
+            grippers: vec![],
+        }
+    }
+
+    #[test]
+    fn a_slow_motion_is_no_jump_and_its_largest_change_is_that_of_the_window() {
+        let jump = recording((0..300).map(|i| 0.02 * f64::from(i))).largest_jump(0.2).unwrap();
+        assert!((jump.change_rad - 0.4).abs() < 1e-9, "{jump:?}");
+    }
+
+    #[test]
+    fn a_spike_that_comes_back_at_once_is_seen() {
+        let spike = (0..100).map(|i| if i == 50 { 1.3 } else { 0.0 });
+        let jump = recording(spike).largest_jump(0.2).unwrap();
+        assert_eq!((jump.change_rad, jump.at_secs), (1.3, 0.5));
+    }
+
+    #[test]
+    fn the_shipped_robot_is_the_default() {
+        let text = include_str!("../../config/robots/baxter.toml");
+        assert_eq!(toml::from_str::<RobotConfig>(text).unwrap(), RobotConfig::default());
+        assert!(toml::from_str::<RobotConfig>("tip = \"left_hand\"").is_err());
+    }
+
+    #[test]
+    fn the_rate_is_that_of_the_frames() {
+        let recording = recording(std::iter::repeat_n(0.0, 101));
+        assert!((recording.rate_hz() - 100.0).abs() < 1e-9);
+        assert!((recording.duration_secs() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn reasons_are_written_as_in_the_files() {
+        for reason in [Reason::TooShort, Reason::SeveralPours, Reason::OutOfRegion] {
+            assert_eq!(serde_json::to_string(&reason).unwrap(), format!("\"{reason}\""));
+        }
+    }
+}
