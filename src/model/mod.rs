@@ -1,6 +1,33 @@
 //! The TC-VAE (sections 3.1-3.3 of the paper): its networks and objective on Burn, and the packed
 //! decoder that serves it without.
 
+#[cfg(feature = "train")]
+mod backend;
+mod config;
+mod kernel;
+mod layout;
+#[cfg(feature = "train")]
+mod networks;
+mod normalizer;
+#[cfg(feature = "train")]
+mod objective;
+mod packed;
+mod primitive;
+#[cfg(feature = "train")]
+mod recogniser;
+
+#[cfg(feature = "train")]
+pub use backend::{Backend, UnknownBackend};
+pub use config::{Activation, ConfigError, ModelConfig, NetworkConfig};
+pub use layout::{Layout, ParameterSpec, WeightsError};
+pub use normalizer::{Baseline, Normalizer};
+#[cfg(feature = "train")]
+pub use objective::{Batch, Objective, PartGradients, Strengths, Terms};
+pub use packed::{Decoded, PackedDecoder, Workspace};
+pub use primitive::TcVaePrimitive;
+#[cfg(feature = "train")]
+pub use recogniser::Recogniser;
+
 use std::collections::BTreeMap;
 
 use crate::demonstrations::Demonstration;
@@ -17,6 +44,43 @@ pub struct NamedTensor {
 /// A model's weights by name, in the order of their names; the border between Burn, the packed
 /// decoder and the model file.
 pub type Weights = BTreeMap<String, NamedTensor>;
+
+/// Why parts are not a model.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// A size of the configuration.
+    #[error("the model's configuration: {0}")]
+    Config(#[from] ConfigError),
+    /// A tensor.
+    #[error("the model's weights: {0}")]
+    Weights(#[from] WeightsError),
+    /// An offset or a scale.
+    #[error(
+        "the normalizer's {name} is {found:?}; {expected} finite values are needed, scales above 0"
+    )]
+    Normalizer {
+        /// Which of them.
+        name: &'static str,
+        /// Its values.
+        found: Vec<f64>,
+        /// Number of values that it must have.
+        expected: usize,
+    },
+    /// A space has another number of values than the model.
+    #[error("the {name} space has {found} values where the model has {expected}")]
+    Space {
+        /// `task` or `manner`.
+        name: &'static str,
+        /// Values of the space.
+        found: usize,
+        /// Values of the model.
+        expected: usize,
+    },
+    /// The weights are finite, but what they decode to is not.
+    #[error("the model decodes to values that are not finite; its weights are no trained model's")]
+    NotFinite,
+}
 
 /// The recognition network's answer for one demonstration (eq. 6-8).
 #[derive(Debug, Clone, PartialEq)]

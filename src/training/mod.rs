@@ -1,1 +1,5 @@
-//! To be written.
+//! Training: the alternating optimisation of eq. 14.
+
+mod adam;
+
+pub use adam::Adam;

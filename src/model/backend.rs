@@ -1,0 +1,74 @@
+//! The devices that Burn computes on.
+
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+
+/// Burn's CPU backends. Both compute the same; `flex` is several times faster.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Backend {
+    /// Burn's present CPU backend.
+    #[default]
+    Flex,
+    /// Burn's older CPU backend on the `ndarray` crate.
+    #[cfg(feature = "ndarray")]
+    NdArray,
+}
+
+/// A backend's name that is not known, or not in this build.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("unknown backend {name:?}; this build has: {known}")]
+pub struct UnknownBackend {
+    /// The name.
+    pub name: String,
+    /// The names that are known, comma-separated.
+    pub known: String,
+}
+
+impl Backend {
+    /// The backends of this build.
+    pub const ALL: &[Self] = &[
+        Self::Flex,
+        #[cfg(feature = "ndarray")]
+        Self::NdArray,
+    ];
+
+    /// The name, as in configurations and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Flex => "flex",
+            #[cfg(feature = "ndarray")]
+            Self::NdArray => "ndarray",
+        }
+    }
+
+    /// The device without gradients.
+    #[cfg_attr(
+        feature = "ndarray",
+        expect(deprecated, reason = "selectable still: docs/decisions has the reason")
+    )]
+    pub(crate) fn device(self) -> Device {
+        match self {
+            Self::Flex => Device::flex(),
+            #[cfg(feature = "ndarray")]
+            Self::NdArray => Device::ndarray(),
+        }
+    }
+}
+
+impl std::fmt::Display for Backend {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl std::str::FromStr for Backend {
+    type Err = UnknownBackend;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        Self::ALL.iter().copied().find(|b| b.name() == name).ok_or_else(|| UnknownBackend {
+            name: name.into(),
+            known: Self::ALL.iter().map(|b| b.name()).collect::<Vec<_>>().join(", "),
+        })
+    }
+}

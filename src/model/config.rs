@@ -1,0 +1,122 @@
+//! The shape of a model: what is stored with it, and all that its tensors' shapes follow from.
+
+use serde::{Deserialize, Serialize};
+
+/// Nonlinearity of every hidden layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Activation {
+    /// `max(x, 0)`, as the paper's networks have it.
+    Relu,
+    /// `x Phi(x)` with the error function; a deviation from the paper.
+    Gelu,
+}
+
+/// The parts of the networks that a user chooses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Number of manner parameters `h`; the paper takes 4.
+    pub latents: usize,
+    /// Channels of every hidden layer of the recognition network and of the decoder.
+    pub width: usize,
+    /// Convolutions in each TCN, with dilations 1, 2, 4, …; the paper takes 3.
+    pub layers: usize,
+    /// Nonlinearity. The paper's is `relu`; `gelu` is a deviation that learns far better.
+    pub activation: Activation,
+    /// Whether a convolution of equal width in and out adds its input to its output. Not in the
+    /// paper.
+    pub residual: bool,
+    /// Our variant: the networks learn what an affine baseline in `w`, fitted per step before
+    /// training, leaves over. The decoder's mean is `A_t w + b_t + f(h, w, tau_t)`, and the
+    /// recognition network sees the motion relative to the baseline. Not in the paper.
+    pub task_baseline: bool,
+}
+
+impl Default for NetworkConfig {
+    fn default() -> Self {
+        Self {
+            latents: 4,
+            width: 32,
+            layers: 3,
+            activation: Activation::Gelu,
+            residual: true,
+            task_baseline: false,
+        }
+    }
+}
+
+/// All that the shapes of a model's tensors follow from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelConfig {
+    /// Steps of a trajectory, `T`.
+    pub steps: usize,
+    /// Values of a state, `D`.
+    pub state_dim: usize,
+    /// Values of the task parameters `w`.
+    pub task_dim: usize,
+    /// The networks.
+    pub network: NetworkConfig,
+}
+
+/// Taps of a convolution: the step `dilation` before, the step itself, the step `dilation` after.
+pub(crate) const TAPS: usize = 3;
+
+/// The decoder's log-variance is bounded softly to `CENTRE ± HALF_RANGE`: `[-12, 4]`.
+pub(crate) const LOG_VARIANCE_CENTRE: f32 = -4.0;
+/// See [`LOG_VARIANCE_CENTRE`].
+pub(crate) const LOG_VARIANCE_HALF_RANGE: f32 = 8.0;
+
+/// Why a configuration is not one.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} is {value}; it must lie in [{lower}, {upper}]")]
+pub struct ConfigError {
+    /// The key.
+    pub name: &'static str,
+    /// Its value.
+    pub value: usize,
+    /// Smallest possible value.
+    pub lower: usize,
+    /// Largest possible value.
+    pub upper: usize,
+}
+
+impl ModelConfig {
+    /// Checks every size.
+    ///
+    /// # Errors
+    /// A size that no model has; the bounds also keep a foreign file from asking for the moon.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let NetworkConfig { latents, width, layers, .. } = self.network;
+        for (name, value, lower, upper) in [
+            ("steps", self.steps, 2, 10_000),
+            ("state_dim", self.state_dim, 1, 1000),
+            ("task_dim", self.task_dim, 1, 1000),
+            ("latents", latents, 1, 1000),
+            ("width", width, 1, 10_000),
+            ("layers", layers, 1, 12),
+        ] {
+            if !(lower..=upper).contains(&value) {
+                return Err(ConfigError { name, value, lower, upper });
+            }
+        }
+        Ok(())
+    }
+
+    /// Dilation of a layer: 1, 2, 4, …
+    pub(crate) fn dilation(layer: usize) -> usize {
+        1 << layer
+    }
+
+    /// The phase of each step, `tau_t = t / T` with `t = 1 … T`.
+    pub(crate) fn phase(&self) -> Vec<f32> {
+        (1..=self.steps).map(|t| t as f32 / self.steps as f32).collect()
+    }
+
+    /// Values that are constant along a sequence and enter the decoder's first convolution: the
+    /// code of h, the code of w, and h itself.
+    pub(crate) fn first_constants(&self) -> usize {
+        2 * self.network.width + self.network.latents
+    }
+}

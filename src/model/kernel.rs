@@ -1,0 +1,330 @@
+//! Vectorised products and activations for the packed decoder.
+//!
+//! One call computes a whole layer: for every row the sum of a start row and of the products of up
+//! to three input rows (a convolution's taps) with their weights, then the activation, then the
+//! residual connection, all in registers. The weights lie in panels of two vectors' width, so the
+//! inner loop reads them in one stream. `pulp` picks the widest instructions of the machine.
+
+use std::array;
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::config::Activation;
+
+/// Rows that are computed together: with panels of two vectors, 12 accumulators and 4 operands
+/// fill the 16 registers of AVX2.
+const BLOCK_ROWS: usize = 6;
+
+/// Runs `op` with the widest vectors that this machine has and `pulp` builds by default.
+pub(crate) fn dispatch<Op: WithSimd>(op: Op) -> Op::Output {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(simd) = pulp::x86::V3::try_new() {
+        return Simd::vectorize(simd, op);
+    }
+    Arch::new().dispatch(op)
+}
+
+/// Width of a weight panel on this machine: two vectors.
+pub(crate) fn panel_width() -> usize {
+    struct Width;
+    impl WithSimd for Width {
+        type Output = usize;
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            2 * S::F32_LANES
+        }
+    }
+    dispatch(Width)
+}
+
+/// `n` rounded up to whole panels.
+pub(crate) fn padded(n: usize) -> usize {
+    n.next_multiple_of(panel_width())
+}
+
+/// The weights of a layer, packed.
+#[derive(Debug, Clone)]
+pub(crate) struct PackedWeights {
+    /// Rows that each output row reads.
+    pub(crate) taps: usize,
+    /// Values that are read of each such row.
+    pub(crate) inputs: usize,
+    /// Width of an output row, in whole panels.
+    pub(crate) outputs: usize,
+    panels: Vec<f32>,
+}
+
+impl PackedWeights {
+    /// Packs `weight`, `[taps * inputs, outputs]` row by row; columns are padded with zeros.
+    pub(crate) fn new(weight: &[f32], taps: usize, inputs: usize, outputs: usize) -> Self {
+        let rows = taps * inputs;
+        assert_eq!(weight.len(), rows * outputs, "a weight for each input and output");
+        let width = panel_width();
+        let mut panels = Vec::with_capacity(rows * padded(outputs));
+        for first in (0..outputs).step_by(width) {
+            for row in 0..rows {
+                let columns = first..first + width;
+                panels.extend(columns.map(|c| match c < outputs {
+                    true => weight[row * outputs + c],
+                    false => 0.0,
+                }));
+            }
+        }
+        Self { taps, inputs, outputs: padded(outputs), panels }
+    }
+}
+
+/// Where along a sequence a convolution's outer taps fall outside.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Edges {
+    /// Steps between the taps.
+    pub(crate) dilation: usize,
+    /// Steps of a sequence.
+    pub(crate) steps: usize,
+    /// Sequences side by side: the row of step `t` of sequence `b` is `t * batch + b`.
+    pub(crate) batch: usize,
+}
+
+/// Kinds of start rows of one sequence: all taps inside, the first outside, the last, both.
+pub(crate) const EDGE_KINDS: usize = 4;
+
+impl Edges {
+    /// The start row of an output row.
+    #[inline(always)]
+    pub(crate) fn start(self, row: usize) -> usize {
+        let (t, b) = (row / self.batch, row % self.batch);
+        let before = usize::from(t < self.dilation);
+        let after = usize::from(t + self.dilation >= self.steps);
+        b * EDGE_KINDS + before + 2 * after
+    }
+}
+
+/// One layer's work.
+pub(crate) struct Layer<'a> {
+    /// The weights.
+    pub(crate) weights: &'a PackedWeights,
+    /// Input rows.
+    pub(crate) x: &'a [f32],
+    /// Values from one input row to the next.
+    pub(crate) x_stride: usize,
+    /// Rows from one tap to the next.
+    pub(crate) tap_rows: usize,
+    /// Start rows, `weights.outputs` wide.
+    pub(crate) start: &'a [f32],
+    /// Which start row each output row takes; the first one where there are no edges.
+    pub(crate) edges: Option<Edges>,
+    /// Number of output rows.
+    pub(crate) rows: usize,
+    /// The nonlinearity, if any.
+    pub(crate) activation: Option<Activation>,
+    /// Whether the middle tap's row is added at the end.
+    pub(crate) residual: bool,
+    /// Output rows.
+    pub(crate) out: &'a mut [f32],
+    /// Values from one output row to the next.
+    pub(crate) out_stride: usize,
+}
+
+impl Layer<'_> {
+    /// Computes all rows.
+    #[inline(always)]
+    pub(crate) fn run<S: Simd>(mut self, simd: S) {
+        let mut row = 0;
+        while row + BLOCK_ROWS <= self.rows {
+            self.block::<S, BLOCK_ROWS>(simd, row);
+            row += BLOCK_ROWS;
+        }
+        match self.rows - row {
+            0 => {}
+            1 => self.block::<S, 1>(simd, row),
+            2 => self.block::<S, 2>(simd, row),
+            3 => self.block::<S, 3>(simd, row),
+            4 => self.block::<S, 4>(simd, row),
+            _ => self.block::<S, 5>(simd, row),
+        }
+    }
+
+    #[inline(always)]
+    fn block<S: Simd, const ROWS: usize>(&mut self, simd: S, row: usize) {
+        let PackedWeights { taps, inputs, outputs, panels } = self.weights;
+        let (taps, inputs, outputs) = (*taps, *inputs, *outputs);
+        let width = 2 * S::F32_LANES;
+        let starts: [usize; ROWS] =
+            array::from_fn(|m| self.edges.map_or(0, |edges| edges.start(row + m)) * outputs);
+        let (panels, _) = S::as_simd_f32s(panels);
+        for (panel, column) in
+            panels.chunks_exact(2 * taps * inputs).zip((0..outputs).step_by(width))
+        {
+            let mut sums: [[S::f32s; 2]; ROWS] =
+                array::from_fn(|m| pair::<S>(&self.start[starts[m] + column..][..width]));
+            for tap in 0..taps {
+                let first = (row + tap * self.tap_rows) * self.x_stride;
+                let x: [&[f32]; ROWS] =
+                    array::from_fn(|m| &self.x[first + m * self.x_stride..][..inputs]);
+                let panel = &panel[2 * tap * inputs..][..2 * inputs];
+                for k in 0..inputs {
+                    let w = [panel[2 * k], panel[2 * k + 1]];
+                    for (sums, x) in sums.iter_mut().zip(x) {
+                        let x = simd.splat_f32s(x[k]);
+                        sums[0] = simd.mul_add_f32s(x, w[0], sums[0]);
+                        sums[1] = simd.mul_add_f32s(x, w[1], sums[1]);
+                    }
+                }
+            }
+            for (m, mut sums) in sums.into_iter().enumerate() {
+                if let Some(activation) = self.activation {
+                    sums = sums.map(|x| activate(simd, activation, x));
+                }
+                if self.residual {
+                    let middle = (row + m + self.tap_rows) * self.x_stride + column;
+                    let x = pair::<S>(&self.x[middle..][..width]);
+                    sums = [simd.add_f32s(sums[0], x[0]), simd.add_f32s(sums[1], x[1])];
+                }
+                let out = &mut self.out[(row + m) * self.out_stride + column..][..width];
+                S::as_mut_simd_f32s(out).0.copy_from_slice(&sums);
+            }
+        }
+    }
+}
+
+/// `out = activation(a + b)`, row by row with row `a` of the step and row `b` of the start rows:
+/// the first convolution, whose only input that changes along the sequence is known beforehand.
+#[inline(always)]
+pub(crate) fn add_and_activate<S: Simd>(
+    simd: S,
+    a: &[f32],
+    b: &[f32],
+    activation: Activation,
+    out: &mut [f32],
+) {
+    let (a, b) = (S::as_simd_f32s(a).0, S::as_simd_f32s(b).0);
+    for ((a, b), out) in a.iter().zip(b).zip(S::as_mut_simd_f32s(out).0) {
+        *out = activate(simd, activation, simd.add_f32s(*a, *b));
+    }
+}
+
+/// Two vectors from as many values.
+#[inline(always)]
+fn pair<S: Simd>(values: &[f32]) -> [S::f32s; 2] {
+    let (vectors, _) = S::as_simd_f32s(values);
+    [vectors[0], vectors[1]]
+}
+
+#[inline(always)]
+fn activate<S: Simd>(simd: S, activation: Activation, x: S::f32s) -> S::f32s {
+    match activation {
+        Activation::Relu => simd.max_f32s(x, simd.splat_f32s(0.0)),
+        Activation::Gelu => gelu(simd, x),
+    }
+}
+
+/// `erf(x / sqrt 2) = x P(x^2) / Q(x^2)` on `[-5.25, 5.25]`, to 7e-9 before rounding; beyond, erf
+/// is 1 within the same error. Our own fit: `tests/golden/erf.py`.
+const ERF_RANGE: f32 = 5.25;
+const ERF_P: [f32; 6] =
+    [0.797_884_5, 0.065_444_51, 0.009_234_113, 3.168_001_5e-4, 1.278_106_7e-5, 4.878_59e-8];
+const ERF_Q: [f32; 6] =
+    [1.0, 0.248_688_83, 0.028_022_085, 1.825_752_9e-3, 7.085_325e-5, 1.247_880_9e-6];
+
+/// `x Phi(x)` with the error function.
+#[inline(always)]
+fn gelu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    let limit = simd.splat_f32s(ERF_RANGE);
+    let clamped = simd.max_f32s(simd.min_f32s(x, limit), simd.neg_f32s(limit));
+    let u = simd.mul_f32s(clamped, clamped);
+    let horner = |coefficients: [f32; 6]| {
+        let mut value = simd.splat_f32s(coefficients[5]);
+        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[4]));
+        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[3]));
+        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[2]));
+        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[1]));
+        simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[0]))
+    };
+    let erf = simd.div_f32s(simd.mul_f32s(clamped, horner(ERF_P)), horner(ERF_Q));
+    let half = simd.mul_f32s(x, simd.splat_f32s(0.5));
+    simd.mul_add_f32s(half, erf, half)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Apply<'a>(&'a [f32], &'a mut [f32], Activation);
+
+    impl WithSimd for Apply<'_> {
+        type Output = ();
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            add_and_activate(simd, self.0, &vec![0.0; self.0.len()], self.2, self.1);
+        }
+    }
+
+    #[test]
+    fn gelu_is_that_of_the_error_function() {
+        // 0.5 x (1 + erf(x / sqrt 2)) in double precision, from Python's math.erf.
+        let known: [(f32, f64); 9] = [
+            (-6.0, -5.919_525_87e-9),
+            (-4.0, -1.266_849_673_325e-4),
+            (-1.0, -0.158_655_253_931_457_07),
+            (-0.1, -0.046_017_216_272_297_1),
+            (0.0, 0.0),
+            (0.5, 0.345_731_230_637_006_65),
+            (1.5, 1.399_789_198_096_713),
+            (3.0, 2.995_950_305_905_11),
+            (7.0, 6.999_999_999_991_041),
+        ];
+        let mut x = vec![0.0; 16];
+        let mut y = vec![0.0; 16];
+        for (x, (value, _)) in x.iter_mut().zip(known) {
+            *x = value;
+        }
+        dispatch(Apply(&x, &mut y, Activation::Gelu));
+        for (y, (x, expected)) in y.iter().zip(known) {
+            let error = (f64::from(*y) - expected).abs();
+            assert!(error < 3e-7 * f64::from(x).abs().max(1.0), "gelu({x}) = {y}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn a_layer_is_its_matrix_product() {
+        let (taps, inputs, outputs, rows) = (3, 5, 7, 11);
+        let value = |i: usize| ((i * 7919 % 101) as f32 - 50.0) / 50.0;
+        let weight: Vec<f32> = (0..taps * inputs * outputs).map(value).collect();
+        let weights = PackedWeights::new(&weight, taps, inputs, outputs);
+        let x: Vec<f32> = (0..(rows + taps - 1) * inputs).map(|i| value(i + 13)).collect();
+        let start = vec![0.25; weights.outputs];
+        let mut out = vec![0.0; rows * weights.outputs];
+        let out_stride = weights.outputs;
+
+        struct Run<'a>(Layer<'a>);
+        impl WithSimd for Run<'_> {
+            type Output = ();
+            #[inline(always)]
+            fn with_simd<S: Simd>(self, simd: S) {
+                self.0.run(simd);
+            }
+        }
+        dispatch(Run(Layer {
+            weights: &weights,
+            x: &x,
+            x_stride: inputs,
+            tap_rows: 1,
+            start: &start,
+            edges: None,
+            rows,
+            activation: Some(Activation::Relu),
+            residual: false,
+            out: &mut out,
+            out_stride,
+        }));
+        for row in 0..rows {
+            for column in 0..outputs {
+                let products = (0..taps * inputs)
+                    .map(|k| x[row * inputs + k] * weight[k * outputs + column])
+                    .sum::<f32>();
+                let expected = (0.25 + products).max(0.0);
+                assert!((out[row * out_stride + column] - expected).abs() < 1e-5);
+            }
+        }
+    }
+}

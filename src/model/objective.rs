@@ -1,0 +1,186 @@
+//! What training minimises: the beta-ELBO (eq. 5), the adversary's loss (eq. 13) and their
+//! alternation (eq. 14).
+
+use burn::tensor::{Device, Tensor};
+
+use super::config::ModelConfig;
+use super::layout::Layout;
+use super::networks::{Networks, Parameters, tensor, values};
+
+/// A part of a batch, in the network's normalised units.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Batch {
+    /// Number of sequences.
+    pub sequences: usize,
+    /// The motions, `[steps, sequences, state_dim]`.
+    pub x: Vec<f32>,
+    /// The tasks, `[sequences, task_dim]`.
+    pub w: Vec<f32>,
+    /// Standard normal draws for the reparametrised sample of h, `[sequences, latents]`.
+    pub noise: Vec<f32>,
+}
+
+/// Strengths of the terms at one step of training.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Strengths {
+    /// Factor of the KL divergence.
+    pub beta: f32,
+    /// Factor of the adversary's loss in the model's objective.
+    pub alpha: f32,
+}
+
+/// The terms of the objective, summed over the sequences of a batch.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Terms {
+    /// Number of sequences.
+    pub sequences: usize,
+    /// Negative log-likelihood of the motions (nat).
+    pub negative_log_likelihood: f64,
+    /// KL divergence of each latent from the prior (nat).
+    pub kl: Vec<f64>,
+    /// L1 distance of the adversary's guess from w, in normalised units.
+    pub adversary: f64,
+}
+
+impl Terms {
+    /// Adds the sums of `other`.
+    pub fn add(&mut self, other: &Self) {
+        self.sequences += other.sequences;
+        self.negative_log_likelihood += other.negative_log_likelihood;
+        self.adversary += other.adversary;
+        self.kl.resize(self.kl.len().max(other.kl.len()), 0.0);
+        self.kl.iter_mut().zip(&other.kl).for_each(|(a, b)| *a += b);
+    }
+}
+
+/// Gradients of one part of a batch, in the order of the layouts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PartGradients {
+    /// Of the model's objective, by the model's parameters.
+    pub model: Vec<f32>,
+    /// Of the adversary's objective, by the adversary's parameters.
+    pub adversary: Vec<f32>,
+    /// The terms.
+    pub terms: Terms,
+}
+
+/// The objective of one model on one device.
+#[derive(Debug, Clone)]
+pub struct Objective {
+    networks: Networks,
+    device: Device,
+    model: Layout,
+    adversary: Layout,
+}
+
+impl Objective {
+    /// The objective with an adversary of the given width.
+    pub fn new(config: &ModelConfig, adversary_width: usize, backend: super::Backend) -> Self {
+        let device = backend.device().autodiff();
+        Self {
+            networks: Networks::new(config, &device),
+            device,
+            model: Layout::of_model(config),
+            adversary: Layout::of_adversary(config, adversary_width),
+        }
+    }
+
+    /// Terms and gradients of both players on a part of a batch of `batch_size` sequences: the
+    /// model minimises `(NLL + beta KL - alpha L1) / (T D)`, the adversary `L1`, each meant over
+    /// the batch. The parts' gradients add up to those of the batch.
+    ///
+    /// The division by `T D` is for the optimiser's sake only. The adversary sees the posterior
+    /// means; its own step does not reach the recognition network.
+    ///
+    /// # Panics
+    /// When the sizes of `part` or of the parameters are not the configuration's.
+    pub fn gradients(
+        &self,
+        model: &[f32],
+        adversary: &[f32],
+        part: &Batch,
+        batch_size: usize,
+        strengths: Strengths,
+    ) -> PartGradients {
+        let ModelConfig { steps, state_dim, .. } = self.networks.config;
+        let model = Parameters::new(&self.model, model, &self.device);
+        let players = self.forward(&model, adversary, part);
+        let objective = players.negative_log_likelihood.clone()
+            + players.kl.clone().sum().mul_scalar(strengths.beta)
+            - players.adversary.clone().mul_scalar(strengths.alpha);
+        let scale = 1.0 / (batch_size * steps * state_dim) as f32;
+        let mut gradients = objective.mul_scalar(scale).backward();
+        let model = model.gradients(&mut gradients);
+        let terms = players.terms(part.sequences);
+
+        let trained = Parameters::new(&self.adversary, adversary, &self.device);
+        let means = Tensor::from_inner(players.means.inner());
+        let l1 = self.l1(&trained, means, part).mul_scalar(1.0 / batch_size as f32);
+        let adversary = trained.gradients(&mut l1.backward());
+        PartGradients { model, adversary, terms }
+    }
+
+    /// The terms alone, without gradients.
+    pub fn terms(&self, model: &[f32], adversary: &[f32], part: &Batch) -> Terms {
+        let device = self.device.clone().inner();
+        let networks = Networks::new(&self.networks.config, &device);
+        let plain = Self { networks, device, ..self.clone() };
+        let model = Parameters::new(&plain.model, model, &plain.device);
+        plain.forward(&model, adversary, part).terms(part.sequences)
+    }
+
+    fn forward(&self, model: &Parameters<'_>, adversary: &[f32], part: &Batch) -> Players {
+        let ModelConfig { steps, state_dim, task_dim, network } = &self.networks.config;
+        let n = part.sequences;
+        let x = tensor(part.x.clone(), [steps * n, *state_dim], &self.device);
+        let w = tensor(part.w.clone(), [n, *task_dim], &self.device);
+        let noise = tensor(part.noise.clone(), [n, network.latents], &self.device);
+
+        let posterior = self.networks.recognise(model, x.clone());
+        let (mean, log_variance) = (posterior.mean, posterior.log_variance);
+        let h = mean.clone() + noise * log_variance.clone().mul_scalar(0.5).exp();
+        let decoded = self.networks.decode(model, h, w);
+        let squared = (x - decoded.mean).square();
+        let nll = squared * decoded.log_variance.clone().neg().exp() + decoded.log_variance;
+        let constant = (steps * n * state_dim) as f32 * std::f32::consts::TAU.ln();
+        let kl = mean.clone().square() + log_variance.clone().exp() - log_variance - 1.0;
+
+        // The model's step sees the adversary as it is: its parameters are constants here.
+        let fixed = Parameters::new(&self.adversary, adversary, &self.device.clone().inner());
+        Players {
+            negative_log_likelihood: nll.sum().add_scalar(constant).mul_scalar(0.5),
+            kl: kl.sum_dim(0).mul_scalar(0.5),
+            adversary: self.l1(&fixed, mean.clone(), part),
+            means: mean,
+        }
+    }
+
+    /// `sum |f_W(h) - w|` over a part.
+    fn l1(&self, adversary: &Parameters<'_>, h: Tensor<2>, part: &Batch) -> Tensor<1> {
+        let task_dim = self.networks.config.task_dim;
+        let w = tensor(part.w.clone(), [part.sequences, task_dim], &self.device);
+        (self.networks.guess_task(adversary, h) - w).abs().sum()
+    }
+}
+
+/// The terms as tensors.
+struct Players {
+    negative_log_likelihood: Tensor<1>,
+    /// One column for each latent.
+    kl: Tensor<2>,
+    adversary: Tensor<1>,
+    /// The posterior means.
+    means: Tensor<2>,
+}
+
+impl Players {
+    fn terms(&self, sequences: usize) -> Terms {
+        let scalar = |x: &Tensor<1>| f64::from(values(x.clone().inner())[0]);
+        Terms {
+            sequences,
+            negative_log_likelihood: scalar(&self.negative_log_likelihood),
+            kl: values(self.kl.clone().inner()).into_iter().map(f64::from).collect(),
+            adversary: scalar(&self.adversary),
+        }
+    }
+}

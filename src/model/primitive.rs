@@ -1,0 +1,192 @@
+//! A trained TC-VAE as a movement primitive: f64 and units outside, the packed decoder inside.
+
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::config::ModelConfig;
+use super::normalizer::{Normalizer, Units};
+use super::packed::{PackedDecoder, Workspace};
+use super::{ModelError, Weights};
+use crate::parameters::{MannerParameters, MannerSpace, TaskParameters, TaskSpace};
+use crate::primitive::{Generated, MannerConditioned, MovementPrimitive};
+use crate::trajectory::Trajectory;
+
+/// Draws of a manner parameter before it is cut off at its bounds instead of drawn again.
+const MAX_DRAWS: usize = 1000;
+
+/// A trained TC-VAE.
+#[derive(Debug, Clone)]
+pub struct TcVaePrimitive {
+    units: Units,
+    decoder: PackedDecoder,
+    task_space: TaskSpace,
+    manner_space: MannerSpace,
+}
+
+impl TcVaePrimitive {
+    /// The primitive with these weights.
+    ///
+    /// # Errors
+    /// Anything that does not fit together: sizes, missing tensors, values that are not finite,
+    /// weights that decode to something that is not finite.
+    pub fn new(
+        config: &ModelConfig,
+        normalizer: &Normalizer,
+        weights: &Weights,
+        task_space: TaskSpace,
+        manner_space: MannerSpace,
+    ) -> Result<Self, ModelError> {
+        config.check()?;
+        for (name, found, expected) in [
+            ("task", task_space.dim(), config.task_dim),
+            ("manner", manner_space.dim(), config.network.latents),
+        ] {
+            if found != expected {
+                return Err(ModelError::Space { name, found, expected });
+            }
+        }
+        let units = Units::new(config, normalizer, weights)?;
+        let decoder = PackedDecoder::new(config, weights)?;
+        let (h, w) = (vec![0.0; config.network.latents], vec![0.0; config.task_dim]);
+        let mut workspace = decoder.workspace(1);
+        let decoded = decoder.decode(&h, &w, &mut workspace);
+        if !decoded.mean.iter().chain(decoded.log_variance).all(|v| v.is_finite()) {
+            return Err(ModelError::NotFinite);
+        }
+        Ok(Self { units, decoder, task_space, manner_space })
+    }
+
+    /// Buffers for [`Self::decode_with`].
+    pub fn workspace(&self) -> Workspace {
+        self.decoder.workspace(1)
+    }
+
+    /// [`MannerConditioned::decode`] with buffers that are kept between calls.
+    ///
+    /// # Panics
+    /// When the workspace is another model's.
+    pub fn decode_with(
+        &self,
+        w: &TaskParameters,
+        h: &MannerParameters,
+        workspace: &mut Workspace,
+    ) -> Generated {
+        let task = self.units.task(w.values());
+        let manner: Vec<f32> = h.values().iter().map(|h| *h as f32).collect();
+        let decoded = self.decoder.decode(&manner, &task, workspace);
+        let scale = || self.units.normalizer.state_scale.iter().cycle();
+        let residual = decoded.mean.iter().zip(scale()).map(|(x, scale)| f64::from(*x) * scale);
+        let centre = self.units.centre(&task);
+        let mean = residual.zip(centre).map(|(residual, centre)| centre + residual).collect();
+        let deviations = decoded.log_variance.iter().zip(scale());
+        let stddev = deviations.map(|(v, scale)| (0.5 * f64::from(*v)).exp() * scale).collect();
+        let trajectory = |values| {
+            Trajectory::new(self.state_dim(), values)
+                .expect("finite weights were checked, and tasks and manners are bounded")
+        };
+        Generated { mean: trajectory(mean), stddev: trajectory(stddev) }
+    }
+}
+
+impl MovementPrimitive for TcVaePrimitive {
+    fn task_space(&self) -> &TaskSpace {
+        &self.task_space
+    }
+
+    fn steps(&self) -> usize {
+        self.decoder.config().steps
+    }
+
+    fn state_dim(&self) -> usize {
+        self.decoder.config().state_dim
+    }
+
+    fn generate(&self, w: &TaskParameters) -> Generated {
+        self.decode(w, &MannerParameters::mean(&self.manner_space))
+    }
+}
+
+impl MannerConditioned for TcVaePrimitive {
+    fn manner_space(&self) -> &MannerSpace {
+        &self.manner_space
+    }
+
+    fn decode(&self, w: &TaskParameters, h: &MannerParameters) -> Generated {
+        self.decode_with(w, h, &mut self.workspace())
+    }
+
+    fn sample_manner(&self, rng: &mut dyn Rng) -> MannerParameters {
+        let axes = self.manner_space.axes();
+        let draw = |axis: &crate::parameters::MannerAxis| {
+            let mut draws = (0..MAX_DRAWS).map(|_| StandardNormal.sample(rng));
+            let inside = draws.find(|h: &f64| (axis.lower..=axis.upper).contains(h));
+            inside.unwrap_or_else(|| 0f64.clamp(axis.lower, axis.upper))
+        };
+        MannerParameters::new(&self.manner_space, axes.iter().map(draw).collect())
+            .expect("every value lies inside its bounds")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::Activation;
+    use super::super::layout::tests::{small, weights};
+    use super::super::normalizer::tests::{demonstrations, space};
+    use super::*;
+    use rand::SeedableRng;
+    use rand::rngs::ChaCha8Rng;
+
+    fn primitive(bound: f64) -> TcVaePrimitive {
+        let config = small(Activation::Gelu, true);
+        let units = Units::fit(&config, &demonstrations(50, config.steps, 1));
+        let manner = MannerSpace::unnamed(3, bound);
+        TcVaePrimitive::new(&config, &units.normalizer, &weights(&config, 1), space(), manner)
+            .unwrap()
+    }
+
+    #[test]
+    fn a_kept_workspace_decodes_as_a_new_one_does() {
+        let primitive = primitive(3.0);
+        let mut workspace = primitive.workspace();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for d in demonstrations(5, 12, 2) {
+            let h = primitive.sample_manner(&mut rng);
+            let kept = primitive.decode_with(&d.w, &h, &mut workspace);
+            assert_eq!(kept, primitive.decode(&d.w, &h));
+        }
+    }
+
+    #[test]
+    fn sampled_manners_are_standard_normal_inside_their_bounds() {
+        let primitive = primitive(1.5);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let draws: Vec<f64> =
+            (0..4000).flat_map(|_| primitive.sample_manner(&mut rng).values().to_vec()).collect();
+        assert!(draws.iter().all(|h| h.abs() <= 1.5));
+        // The variance of a standard normal cut off at 1.5: 1 - 3 phi(1.5) / (2 Phi(1.5) - 1).
+        let variance = draws.iter().map(|h| h * h).sum::<f64>() / draws.len() as f64;
+        assert!((variance - 0.5513).abs() < 0.02, "{variance}");
+    }
+
+    #[test]
+    fn a_task_far_away_decodes_to_finite_states() {
+        let primitive = primitive(3.0);
+        let w = TaskParameters::new(&space(), vec![1e300, -1e300, 1e9, 0.0]).unwrap();
+        assert!(primitive.generate(&w).mean.values().iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn a_space_of_another_size_is_refused() {
+        let config = small(Activation::Gelu, true);
+        let units = Units::fit(&config, &demonstrations(50, config.steps, 1));
+        let error = TcVaePrimitive::new(
+            &config,
+            &units.normalizer,
+            &weights(&config, 1),
+            space(),
+            MannerSpace::unnamed(2, 3.0),
+        )
+        .unwrap_err();
+        assert_eq!(error.to_string(), "the manner space has 2 values where the model has 3");
+    }
+}
