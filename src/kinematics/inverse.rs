@@ -16,6 +16,16 @@ use super::forward::Frame;
 /// Squared pose error at which a descent has nothing left to gain: a micrometre, a microradian.
 const CONVERGED: f64 = 1e-12;
 
+/// Steps of one descent; one that converges takes 5 to 20.
+const MAX_ITERATIONS: usize = 60;
+
+/// Damping that is left where the error is 0; it keeps singular poses solvable.
+const DAMPING: f64 = 1e-10;
+
+/// A descent that three times in a row leaves more than this share of its squared error ends in a
+/// dead end.
+const SLOW: f64 = 0.9;
+
 /// How close counts as reached.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tolerance {
@@ -149,7 +159,7 @@ impl From<&Isometry3<f64>> for Frame {
 }
 
 /// The rotation vector of a rotation matrix.
-fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
+pub(super) fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let r = rotation;
     // Twice the sine times the axis.
     let twice = Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
@@ -168,48 +178,61 @@ fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
 /// One configuration on its way to a pose. All buffers are made once.
 #[derive(Debug, Clone)]
 pub(super) struct Solver<'a> {
-    pub(super) chain: &'a Chain,
+    chain: &'a Chain,
     pub(super) q: Vec<f64>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    middle: Vec<f64>,
+    half_range: Vec<f64>,
     columns: Vec<Vector6<f64>>,
     tip: Frame,
     trial: Vec<f64>,
     trial_columns: Vec<Vector6<f64>>,
-    max_iterations: usize,
 }
 
 impl<'a> Solver<'a> {
     pub(super) fn new(chain: &'a Chain) -> Self {
+        let joints = chain.joints();
         let zeros = vec![Vector6::zeros(); chain.dof()];
         let mut solver = Self {
             chain,
             q: chain.middle(),
+            lower: joints.iter().map(|j| j.lower).collect(),
+            upper: joints.iter().map(|j| j.upper).collect(),
+            middle: chain.middle(),
+            half_range: joints.iter().map(|j| 0.5 * (j.upper - j.lower)).collect(),
             columns: zeros.clone(),
             tip: Frame { rotation: Matrix3::identity(), position: Vector3::zeros() },
             trial: vec![0.0; chain.dof()],
             trial_columns: zeros,
-            max_iterations: 60,
         };
         solver.evaluate();
         solver
     }
 
+    /// A solver for which no joint has limits.
+    pub(super) fn without_limits(chain: &'a Chain) -> Self {
+        let mut solver = Self::new(chain);
+        solver.lower.fill(f64::NEG_INFINITY);
+        solver.upper.fill(f64::INFINITY);
+        solver
+    }
+
     /// Stands at `q`, clamped to the limits.
     pub(super) fn start(&mut self, q: &[f64]) {
-        for ((value, &from), joint) in self.q.iter_mut().zip(q).zip(self.chain.joints()) {
-            *value = from.clamp(joint.lower, joint.upper);
+        for (joint, &value) in q.iter().enumerate() {
+            self.q[joint] = value.clamp(self.lower[joint], self.upper[joint]);
         }
         self.evaluate();
     }
 
-    /// Stands at a configuration drawn evenly from inside the limits.
+    /// Stands at a configuration drawn evenly from inside the chain's limits; from a full turn
+    /// for a joint without.
     pub(super) fn start_anywhere<R: Rng + ?Sized>(&mut self, rng: &mut R) {
-        for (value, joint) in self.q.iter_mut().zip(self.chain.joints()) {
-            let (lower, upper) = if joint.lower.is_finite() && joint.upper.is_finite() {
-                (joint.lower, joint.upper)
-            } else {
-                (-std::f64::consts::PI, std::f64::consts::PI)
-            };
-            *value = rng.random_range(lower..=upper);
+        for joint in 0..self.q.len() {
+            let half_range = self.half_range[joint].min(std::f64::consts::PI);
+            let offset = rng.random_range(-half_range..=half_range);
+            self.q[joint] = self.middle[joint] + offset;
         }
         self.evaluate();
     }
@@ -232,64 +255,91 @@ impl<'a> Solver<'a> {
         let mut squared = residual.squared();
         let mut mu = 1e-2;
         let mut slow = 0;
-        for _ in 0..self.max_iterations {
+        for _ in 0..MAX_ITERATIONS {
             if squared < CONVERGED {
                 break;
             }
-            let normal = self.normal(&residual.0);
-            let lambda = mu * squared + 1e-10;
-            let Some(y) = solve_damped(&normal, lambda, &residual.0) else { break };
-            self.step(|column, _| column.dot(&y), &residual.0);
+            let Some(y) = self.damped(&residual.0, mu * squared + DAMPING, &residual.0) else {
+                break;
+            };
+            for joint in 0..self.q.len() {
+                let column = &self.columns[joint];
+                self.trial[joint] = if self.held(joint, column.dot(&residual.0)) {
+                    self.q[joint]
+                } else {
+                    (self.q[joint] + column.dot(&y)).clamp(self.lower[joint], self.upper[joint])
+                };
+            }
             let tip = self.chain.tip_and_jacobian(&self.trial, &mut self.trial_columns);
             let next = Residual::between(&tip, target);
             let next_squared = next.squared();
             if next_squared < squared {
-                // A descent that gains less than a tenth three times in a row ends in a dead end.
-                slow = if next_squared > 0.9 * squared { slow + 1 } else { 0 };
+                slow = if next_squared > SLOW * squared { slow + 1 } else { 0 };
                 self.accept(tip);
                 (residual, squared) = (next, next_squared);
                 mu = (mu * 0.25).max(1e-4);
-                if slow == 3 {
-                    break;
-                }
             } else {
                 mu *= 10.0;
-                if mu > 1e6 {
-                    break;
-                }
+            }
+            if slow == 3 || mu > 1e6 {
+                break;
             }
         }
         residual
     }
 
-    /// Whether a joint stands at a limit and `direction` leads out of it.
-    fn held(&self, joint: usize, direction: f64) -> bool {
-        let limits = &self.chain.joints()[joint];
-        let q = self.q[joint];
-        (q >= limits.upper && direction > 0.0) || (q <= limits.lower && direction < 0.0)
+    /// Descends to `target`, a small step away, and on the way uses what freedom the pose leaves to
+    /// move joints off their limits: by the share `pull` of the way to the middle at the limit
+    /// itself, by less with the square of the distance from the middle.
+    pub(super) fn track(&mut self, target: &Frame, pull: f64) -> Residual {
+        let residual = Residual::between(&self.tip, target);
+        // The joints' motion is z + J^+ (e - J z): z as far as it leaves the pose alone.
+        let wish = |solver: &Self, joint: usize| {
+            let offset = solver.q[joint] - solver.middle[joint];
+            let share = offset / solver.half_range[joint];
+            -pull * share * share * offset
+        };
+        let mut remaining = residual.0;
+        for joint in 0..self.q.len() {
+            remaining -= self.columns[joint] * wish(self, joint);
+        }
+        if let Some(y) = self.damped(&remaining, 1e-6, &residual.0) {
+            for joint in 0..self.q.len() {
+                let column = &self.columns[joint];
+                let step = if self.held(joint, column.dot(&residual.0)) {
+                    wish(self, joint)
+                } else {
+                    wish(self, joint) + column.dot(&y)
+                };
+                self.trial[joint] =
+                    (self.q[joint] + step).clamp(self.lower[joint], self.upper[joint]);
+            }
+            let tip = self.chain.tip_and_jacobian(&self.trial, &mut self.trial_columns);
+            self.accept(tip);
+        }
+        self.descend(target)
     }
 
-    /// `J J^T` over the joints that may move.
-    fn normal(&self, residual: &Vector6<f64>) -> Matrix6<f64> {
-        let mut normal = Matrix6::zeros();
+    /// `(J J^T + lambda I)^-1 e` over the joints that `residual` does not press against a limit.
+    fn damped(
+        &self,
+        e: &Vector6<f64>,
+        lambda: f64,
+        residual: &Vector6<f64>,
+    ) -> Option<Vector6<f64>> {
+        let mut normal = Matrix6::from_diagonal_element(lambda);
         for (joint, column) in self.columns.iter().enumerate() {
             if !self.held(joint, column.dot(residual)) {
                 normal.ger(1.0, column, column, 1.0);
             }
         }
-        normal
+        Some(Cholesky::new(normal)?.solve(e))
     }
 
-    /// The trial configuration: each joint that may move, moved by `delta`, clamped to its limits.
-    fn step(&mut self, delta: impl Fn(&Vector6<f64>, usize) -> f64, residual: &Vector6<f64>) {
-        for (joint, limits) in self.chain.joints().iter().enumerate() {
-            let column = &self.columns[joint];
-            self.trial[joint] = if self.held(joint, column.dot(residual)) {
-                self.q[joint]
-            } else {
-                (self.q[joint] + delta(column, joint)).clamp(limits.lower, limits.upper)
-            };
-        }
+    /// Whether a joint stands at a limit and `direction` leads out of it.
+    fn held(&self, joint: usize, direction: f64) -> bool {
+        let q = self.q[joint];
+        (q >= self.upper[joint] && direction > 0.0) || (q <= self.lower[joint] && direction < 0.0)
     }
 
     fn accept(&mut self, tip: Frame) {
@@ -297,13 +347,4 @@ impl<'a> Solver<'a> {
         std::mem::swap(&mut self.q, &mut self.trial);
         std::mem::swap(&mut self.columns, &mut self.trial_columns);
     }
-}
-
-/// `(normal + lambda I)^-1 e`.
-fn solve_damped(normal: &Matrix6<f64>, lambda: f64, e: &Vector6<f64>) -> Option<Vector6<f64>> {
-    let mut damped = *normal;
-    for i in 0..6 {
-        damped[(i, i)] += lambda;
-    }
-    Some(Cholesky::new(damped)?.solve(e))
 }
