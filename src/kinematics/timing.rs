@@ -231,8 +231,9 @@ mod tests {
         fn no_joint_leaves_the_range_between_two_points(positions in paths()) {
             let trajectory = time(&chain(&[1.5, 0.7], None), &positions, 0.1, 1.0, 1.0).trajectory;
             for joint in 0..2 {
-                for (k, samples) in played(&trajectory, joint).chunks(21).enumerate() {
-                    let (a, b) = (positions[k][joint], positions[k + 1][joint]);
+                let played = played(&trajectory, joint);
+                for (samples, ends) in played.chunks(21).zip(positions.windows(2)) {
+                    let (a, b) = (ends[0][joint], ends[1][joint]);
                     for [position, ..] in samples {
                         prop_assert!(*position >= a.min(b) - 1e-9 && *position <= a.max(b) + 1e-9);
                     }
