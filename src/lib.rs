@@ -23,7 +23,7 @@
 //! | `training` | the alternating optimisation (feature `train`) |
 //! | [`serving`] | the state and the rules of the node, without any I/O |
 //!
-//! The adapters, [`config`], [`artifact`], [`urdf`], `bag`, [`mime`], `ros`
+//! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], `bag`, [`mime`], `ros`
 //! and [`report`], don't know each other; the two binaries wire them together.
 
 pub mod parameters;
@@ -52,6 +52,7 @@ pub mod artifact;
 #[cfg(feature = "bag")]
 pub mod bag;
 pub mod config;
+pub mod dataset;
 pub mod mime;
 pub mod report;
 #[cfg(feature = "ros")]

@@ -1,1 +1,57 @@
-fn main() {}
+//! `tcvae`: simulating and inspecting data, training, and evaluating models.
+//!
+//! Exit codes: 0 done, 1 a result below what was asked, 2 wrong usage, 3 bad data.
+
+mod verbs;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use verbs::{ExitStatus, print_json, simulate};
+
+/// Learns movement primitives from demonstrations, and measures them.
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    after_help = "Exit codes: 0 done, 1 a result below what was asked, \
+    2 wrong usage, 3 bad data."
+)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Write simulated demonstrations into a folder
+    Simulate(simulate::SimulateArgs),
+}
+
+impl Verb {
+    fn json(&self) -> bool {
+        match self {
+            Self::Simulate(args) => args.json,
+        }
+    }
+
+    fn run(self) -> anyhow::Result<ExitStatus> {
+        match self {
+            Self::Simulate(args) => simulate::run(args),
+        }
+    }
+}
+
+fn main() -> ExitCode {
+    let Cli { verb } = Cli::parse();
+    let json = verb.json();
+    let status = verb.run().unwrap_or_else(|error| {
+        let message = format!("{error:#}");
+        if json {
+            print_json(&serde_json::json!({ "error_message": message }));
+        }
+        eprintln!("tcvae: {message}");
+        ExitStatus::of(&error)
+    });
+    ExitCode::from(status as u8)
+}

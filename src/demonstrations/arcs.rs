@@ -23,8 +23,6 @@ const SPAN_RAD: Interval = Interval { lower: FRAC_PI_2, upper: 3.0 * FRAC_PI_2 }
 const CENTER: Interval = Interval { lower: 0.0, upper: 1.0 };
 /// Share of itself by which a bound of the data is widened before a motion breaks it.
 const MARGIN: f64 = 0.15;
-/// An arc takes no time; its motions last one second by convention.
-const DURATION_SECS: f64 = 1.0;
 
 /// Where demonstrated arcs may start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,7 +110,7 @@ impl Arc {
             [self.center[0] + self.radius * cos, self.center[1] + self.radius * sin]
         });
         let states = Trajectory::new(2, values.collect()).expect("a finite arc is a trajectory");
-        Motion { states, duration_secs: DURATION_SECS }
+        Motion { states, duration_secs: ArcsTask::DURATION_SECS }
     }
 }
 
@@ -172,6 +170,8 @@ pub fn simulate<R: Rng + ?Sized>(simulation: &ArcsSimulation, rng: &mut R) -> Si
 }
 
 impl ArcsTask {
+    /// An arc takes no time; its motions last one second by convention.
+    pub const DURATION_SECS: f64 = 1.0;
     /// Names of the values of a state.
     pub const STATE_NAMES: [&str; 2] = ["x", "y"];
 

@@ -87,4 +87,13 @@ impl TaskConfig {
             Self::Pouring(task) => task,
         }
     }
+
+    /// Distances from the task at which success and robustness are reported: the paper's, in the
+    /// task space's unit.
+    pub fn thresholds(&self) -> [f64; 3] {
+        match self {
+            Self::Arcs(_) => [0.025, 0.05, 0.1],
+            Self::Pouring(_) => [0.01, 0.02, 0.05],
+        }
+    }
 }

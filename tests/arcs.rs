@@ -1,0 +1,103 @@
+//! `tcvae simulate arcs`, then what is done with its folder.
+#![cfg(feature = "train")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn tcvae(args: &[&str], folder: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_tcvae"))
+        .args(args)
+        .current_dir(folder)
+        .output()
+        .expect("it runs")
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).expect("UTF-8")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).expect("UTF-8")
+}
+
+#[test]
+fn the_same_seed_writes_the_same_bytes_and_another_seed_others() {
+    let folder = tempfile::tempdir().unwrap();
+    for (seed, name) in [("5", "a"), ("5", "b"), ("6", "c")] {
+        let args = ["simulate", "arcs", "--seed", seed, "--count", "30", "-o", name];
+        assert_eq!(tcvae(&args, folder.path()).status.code(), Some(0));
+    }
+    for file in ["train.csv", "validation.csv", "test.csv", "truth.json", "dataset.json"] {
+        let read = |name: &str| fs::read(folder.path().join(name).join(file)).unwrap();
+        assert_eq!(read("a"), read("b"), "{file}");
+        assert_ne!(read("a"), read("c"), "{file}");
+    }
+}
+
+#[test]
+fn without_a_count_it_writes_8000_1000_1000_arcs() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = tcvae(&["simulate", "arcs", "--seed", "1", "-o", "data", "--json"], folder.path());
+    let answer: Value = serde_json::from_str(&stdout(&output)).unwrap();
+    assert_eq!(answer["demonstrations"], 10_000);
+    for (part, count) in [("train", 8000), ("validation", 1000), ("test", 1000)] {
+        assert_eq!(answer[part], count);
+        let file = folder.path().join("data").join(format!("{part}.csv"));
+        let lines = fs::read_to_string(file).unwrap().lines().count();
+        assert_eq!(lines, 1 + 32 * count);
+    }
+    let truth = fs::read(folder.path().join("data/truth.json")).unwrap();
+    let truth: Value = serde_json::from_slice(&truth).unwrap();
+    assert_eq!(truth["demonstrations"].as_array().unwrap().len(), 10_000);
+}
+
+#[test]
+fn starts_fill_half_a_turn_or_all_of_it_as_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let below_the_centre = |start: &str| {
+        let set = format!("start={start}");
+        let args = ["simulate", "arcs", "--count", "500", "--set", &set, "-o", start];
+        assert_eq!(tcvae(&args, folder.path()).status.code(), Some(0));
+        let truth = fs::read(folder.path().join(start).join("truth.json")).unwrap();
+        let truth: Value = serde_json::from_slice(&truth).unwrap();
+        let points = fs::read_to_string(folder.path().join(start).join("train.csv")).unwrap();
+        let first = points.lines().filter(|l| l.split(',').nth(1) == Some("0"));
+        let below =
+            first.zip(truth["demonstrations"].as_array().unwrap()).filter(|(line, truth)| {
+                let y: f64 = line.split(',').nth(3).unwrap().parse().unwrap();
+                y < truth["task"]["center"][1].as_f64().unwrap() - 1e-12
+            });
+        below.count()
+    };
+    assert_eq!(below_the_centre("half"), 0);
+    // Of 400 arcs to train; a fair coin's deviation is 10.
+    assert!((150..250).contains(&below_the_centre("full")));
+}
+
+#[test]
+fn wrong_usage_is_told_with_exit_code_2_and_writes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("file"), "").unwrap();
+    fs::create_dir(folder.path().join("full")).unwrap();
+    fs::write(folder.path().join("full/notes.txt"), "").unwrap();
+    for (args, reason) in [
+        (&["-o", "new", "--count", "9"][..], "--count 9: arcs are simulated 10 to 1000000 at once"),
+        (&["-o", "new", "--set", "start=third"], "--set start=third: start is half or full"),
+        (&["-o", "new", "--set", "begin=half"], "--set begin: unknown; known are: start, steps"),
+        (&["-o", "new", "--set", "start"], "--set start: write it as KEY=VALUE"),
+        (&["-o", "new", "--set", "steps=2"], "steps is a number of points from 3 to 1000"),
+        (&["-o", "full"], "full is not empty: it holds notes.txt; choose a new folder"),
+        (&["-o", "file/new"], "cannot make the folder file/new: "),
+        (&["-o", "/proc/new"], "cannot make the folder /proc/new: "),
+        (&["--seed", "one", "-o", "new"], "--seed"),
+        (&[], "--output <DIR>"),
+    ] {
+        let output = tcvae(&[&["simulate", "arcs"], args].concat(), folder.path());
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        assert!(stderr(&output).contains(reason), "{args:?}: {}", stderr(&output));
+        assert!(!folder.path().join("new").exists());
+    }
+}
