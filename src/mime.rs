@@ -10,6 +10,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::demonstrations::recording::{Channels, GripperRecording, JointRecording};
+use crate::demonstrations::simulation::{MIME_JOINTS, RawDemonstration};
 
 /// Frames per second of a MIME recording.
 pub const RATE_HZ: f64 = 100.0;
@@ -345,6 +346,66 @@ impl<'a> Iterator for Entries<'a> {
 fn aligned(values: &[f64], frames: usize) -> Vec<f64> {
     let scale = (values.len() - 1) as f64 / (frames.max(2) - 1) as f64;
     (0..frames).map(|i| values[(i as f64 * scale).round() as usize]).collect()
+}
+
+/// Writes a simulated demonstration into `folder/<its id>` as MIME does.
+///
+/// # Errors
+/// A file or the folder can't be written.
+pub fn write(folder: &Path, demonstration: &RawDemonstration) -> Result<(), MimeError> {
+    let RawDemonstration {
+        id,
+        frames,
+        left_gripper,
+        right_gripper,
+        stray_lines,
+        cut_lines,
+        python_syntax,
+    } = demonstration;
+    let quote = if *python_syntax { '\'' } else { '"' };
+    let mut joints = String::with_capacity(frames.len() * 450);
+    let mut stray = stray_lines.iter().peekable();
+    for (i, frame) in frames.iter().enumerate() {
+        while let Some((_, line)) = stray.next_if(|(before, _)| *before <= i) {
+            joints.push_str(line);
+            joints.push('\n');
+        }
+        let start = joints.len();
+        for (j, (name, value)) in MIME_JOINTS.iter().zip(frame).enumerate() {
+            let separator = if j == 0 { "{" } else { ", " };
+            let _ = write!(joints, "{separator}{quote}{name}{quote}: {value:.7}");
+        }
+        joints.push('}');
+        if cut_lines.binary_search(&i).is_ok() {
+            joints.truncate(start + (joints.len() - start) * 3 / 5);
+        }
+        joints.push('\n');
+    }
+    for (_, line) in stray {
+        joints.push_str(line);
+        joints.push('\n');
+    }
+    let gripper = |values: &[f64]| {
+        values.iter().fold(String::new(), |mut text, value| {
+            let _ = writeln!(text, "{value:.2}");
+            text
+        })
+    };
+    let folder = folder.join(id);
+    let io = |path: &Path| {
+        let path = path.to_path_buf();
+        |source| MimeError::Io { path, source }
+    };
+    std::fs::create_dir_all(&folder).map_err(io(&folder))?;
+    for (name, text) in [
+        (JOINTS_FILE, joints),
+        ("left_gripper.txt", gripper(left_gripper)),
+        ("right_gripper.txt", gripper(right_gripper)),
+    ] {
+        let path = folder.join(name);
+        std::fs::write(&path, text).map_err(io(&path))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ pub mod arcs;
 pub mod mirroring;
 pub mod pouring;
 pub mod recording;
+pub mod simulation;
 pub mod task;
 
 pub use task::{Task, TaskConfig, TaskMeasureError, Violation};

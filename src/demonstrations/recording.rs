@@ -214,6 +214,17 @@ impl Arm {
     }
 }
 
+impl ArmRecording {
+    /// How far the tip came about: the diagonal of the box around its positions, m.
+    pub fn extent_m(&self) -> f64 {
+        let positions = || self.base_from_tip.iter().map(|p| p.translation.vector);
+        let Some(first) = positions().next() else { return 0.0 };
+        let [low, high] = positions()
+            .fold([first; 2], |[low, high], position| [low.inf(&position), high.sup(&position)]);
+        (high - low).norm()
+    }
+}
+
 /// Why a recording is not among the demonstrations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
