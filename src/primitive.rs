@@ -1,10 +1,21 @@
-//! What a movement primitive is to its users: something that turns task parameters, and manner
-//! parameters where it has them, into a trajectory.
+//! What a movement primitive is to its users: something that learns from demonstrations, and turns
+//! task parameters, and manner parameters where it has them, into a trajectory.
 
 use rand::Rng;
 
 use crate::parameters::{MannerParameters, MannerSpace, TaskParameters, TaskSpace};
-use crate::trajectory::Trajectory;
+use crate::trajectory::{Motion, Trajectory};
+
+/// One demonstration, cut to the primitive and resampled.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Demonstration {
+    /// Where it comes from: the recording's name, and what augmentation made of it.
+    pub id: String,
+    /// The task that it achieved.
+    pub w: TaskParameters,
+    /// The motion.
+    pub motion: Motion,
+}
 
 /// A trajectory as a primitive generates it.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,7 +27,7 @@ pub struct Generated {
 }
 
 /// A learned motion that adapts to task parameters.
-pub trait MovementPrimitive {
+pub trait MovementPrimitive: std::fmt::Debug {
     /// What the primitive's task parameters are.
     fn task_space(&self) -> &TaskSpace;
 

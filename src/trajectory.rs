@@ -45,7 +45,7 @@ impl Trajectory {
     /// # Errors
     /// Fewer than two states, an incomplete last state, a value that is not finite.
     pub fn new(dim: usize, values: Vec<f64>) -> Result<Self, TrajectoryError> {
-        if dim == 0 || values.len() % dim != 0 {
+        if dim == 0 || !values.len().is_multiple_of(dim) {
             return Err(TrajectoryError::Ragged { values: values.len(), dim });
         }
         if values.len() < 2 * dim {

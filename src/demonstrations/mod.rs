@@ -9,19 +9,7 @@ pub mod task;
 
 pub use task::{Task, TaskConfig, TaskMeasureError, Violation};
 
-use crate::parameters::TaskParameters;
-use crate::trajectory::Motion;
-
-/// One demonstration, cut to the primitive and resampled.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Demonstration {
-    /// Where it comes from: the recording's name, and what augmentation made of it.
-    pub id: String,
-    /// The task that it achieved.
-    pub w: TaskParameters,
-    /// The motion.
-    pub motion: Motion,
-}
+pub use crate::primitive::Demonstration;
 
 /// Demonstrations in the three parts that learning needs: to fit, to choose, to report.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -99,8 +99,7 @@ pub struct Followed {
 pub enum FollowError {
     /// The arm cannot reach a pose, with or without its limits.
     #[error(
-        "point {point} of {points} (t = {time_secs:.1} s) is {} out of reach of {tip_frame}; \
-         move the path towards the arm or turn the tip less",
+        "point {point} of {points} (t = {time_secs:.1} s) is {} out of reach of {tip_frame}",
         out_of_reach(*position_error_m, *orientation_error_rad)
     )]
     Unreachable {

@@ -8,9 +8,11 @@
 
 mod chain;
 mod forward;
+mod record;
 
 pub mod following;
 pub mod inverse;
 pub mod timing;
 
 pub use chain::{Chain, ChainError, Joint, JointKind};
+pub use record::{RecordMismatch, RobotRecord};

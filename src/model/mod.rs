@@ -30,7 +30,7 @@ pub use recogniser::Recogniser;
 
 use std::collections::BTreeMap;
 
-use crate::demonstrations::Demonstration;
+use crate::primitive::Demonstration;
 
 /// An array of `f32` with a shape, row by row.
 #[derive(Debug, Clone, PartialEq)]

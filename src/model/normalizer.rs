@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::config::ModelConfig;
 use super::layout::{WeightsError, checked};
 use super::{ModelError, NamedTensor, Weights};
-use crate::demonstrations::Demonstration;
+use crate::primitive::Demonstration;
 #[cfg(any(feature = "train", test))]
 use crate::trajectory::Trajectory;
 

@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::networks::{Networks, Parameters, tensor, values};
 use super::normalizer::{Normalizer, Units};
 use super::{ModelError, Posterior, Recognition, Weights};
-use crate::demonstrations::Demonstration;
+use crate::primitive::Demonstration;
 
 /// Demonstrations that are recognised in one pass.
 const BATCH: usize = 128;

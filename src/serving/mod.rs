@@ -2,16 +2,23 @@
 //! set, and which motions may leave.
 //!
 //! A motion leaves only as a [`Sample`], and a [`Sample`] is made only by
-//! [`PrimitiveServer::sample`], after every check.
+//! [`PrimitiveServer::sample`], after every check: the empirical task parameters of the motion as
+//! the joints execute it are within tolerance (the paper's `G`, eq. 15), every joint stays inside
+//! its limits and steps no further than its velocity allows, and the motion is valid.
 
+mod familiarity;
+mod model;
+mod motion;
 mod refusal;
 mod request;
+mod server;
+mod settings;
 
+pub use familiarity::Familiarity;
+pub use model::{Robot, ServedModel};
 pub use refusal::{ErrorCode, Refusal};
 pub use request::{
     Description, GivenLocation, MAX_COUNT, RankBy, Sample, SampleReply, SampleRequest,
 };
-
-mod settings;
-
+pub use server::PrimitiveServer;
 pub use settings::{MannerMode, OutOfDistribution, Settings};

@@ -45,6 +45,9 @@ pub struct SampleRequest {
     pub count: u32,
     /// Seed; 0 means the node's.
     pub seed: u64,
+    /// Where the joints are, by name; empty where that is not known. Other joints than the arm's may
+    /// be among them. The motion must begin there.
+    pub start: Vec<(String, f64)>,
     /// Share of the velocity limits; 0 means the setting.
     pub velocity_scale: f64,
     /// Share of the acceleration limits; 0 means the setting.

@@ -1,0 +1,148 @@
+//! What identifies an arm: a model file carries the record of the arm that it was made for, and is
+//! served on another description only if that one moves the same.
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+
+use crate::kinematics::{Chain, Joint};
+
+/// Configurations that a record stores.
+const CONFIGURATIONS: usize = 20;
+/// Half the range of a joint without limits (rad).
+const TURN: f64 = std::f64::consts::PI;
+/// Largest distance between the tips of two descriptions of one arm (m).
+const POSITION_TOLERANCE_M: f64 = 1e-3;
+/// Largest angle between the tips of two descriptions of one arm (rad).
+const ORIENTATION_TOLERANCE_RAD: f64 = 1e-3;
+
+/// An arm as a model file remembers it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotRecord {
+    /// Name of the robot.
+    pub name: String,
+    /// Frame of the task and of every pose.
+    pub base_frame: String,
+    /// Link whose origin is the tip.
+    pub tip_frame: String,
+    /// Joints from the base to the tip.
+    pub joint_names: Vec<String>,
+    /// Joint configurations inside the limits (rad, m).
+    pub configurations: Vec<Vec<f64>>,
+    /// The tip in the base frame at each configuration: x y z (m), then the quaternion x y z w.
+    pub base_from_tip: Vec<[f64; 7]>,
+    /// SHA-256 of the description that the record was made from; provenance only.
+    pub urdf_sha256: String,
+}
+
+/// How a description differs from the arm of a record.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordMismatch {
+    /// Other joints, or another order.
+    #[error("the model moves the joints {expected}; this robot's arm has {found}")]
+    Joints {
+        /// Joints of the record, comma-separated.
+        expected: String,
+        /// Joints of the description, comma-separated.
+        found: String,
+    },
+    /// The tip is elsewhere.
+    #[error(
+        "at stored configuration {configuration} the tip {tip} is {position_mm:.2} mm and \
+         {orientation_mrad:.2} mrad from where the model's robot has it (limits 1 mm, 1 mrad)"
+    )]
+    Tip {
+        /// Index of the configuration.
+        configuration: usize,
+        /// Name of the tip frame.
+        tip: String,
+        /// Distance (mm).
+        position_mm: f64,
+        /// Angle (mrad).
+        orientation_mrad: f64,
+    },
+    /// The record contradicts itself.
+    #[error("the robot record holds {configurations} configurations and {poses} poses")]
+    Damaged {
+        /// Configurations with as many values as there are joints.
+        configurations: usize,
+        /// Poses.
+        poses: usize,
+    },
+}
+
+impl RobotRecord {
+    /// The record of an arm, with configurations drawn from inside its limits (a turn either way
+    /// for joints without).
+    pub fn new(name: &str, chain: &Chain, urdf_sha256: String, rng: &mut impl Rng) -> Self {
+        let mut draw =
+            |joint: &Joint| rng.random_range(joint.lower.max(-TURN)..=joint.upper.min(TURN));
+        let configurations: Vec<Vec<f64>> =
+            (0..CONFIGURATIONS).map(|_| chain.joints().iter().map(&mut draw).collect()).collect();
+        let base_from_tip = configurations.iter().map(|q| pose_values(&chain.forward(q))).collect();
+        Self {
+            name: name.into(),
+            base_frame: chain.base_frame().into(),
+            tip_frame: chain.tip_frame().into(),
+            joint_names: chain.joint_names(),
+            configurations,
+            base_from_tip,
+            urdf_sha256,
+        }
+    }
+
+    /// Whether `chain` is the arm of this record: the same joints in the same order, and the tip
+    /// within 1 mm and 1 mrad at every stored configuration.
+    ///
+    /// # Errors
+    /// The first difference.
+    pub fn check(&self, chain: &Chain) -> Result<(), RecordMismatch> {
+        let found = chain.joint_names();
+        if found != self.joint_names {
+            return Err(RecordMismatch::Joints {
+                expected: self.joint_names.join(", "),
+                found: found.join(", "),
+            });
+        }
+        let whole = self.configurations.iter().filter(|q| q.len() == found.len()).count();
+        if whole == 0 || whole != self.configurations.len() || whole != self.base_from_tip.len() {
+            return Err(RecordMismatch::Damaged {
+                configurations: whole,
+                poses: self.base_from_tip.len(),
+            });
+        }
+        for (configuration, (q, values)) in
+            self.configurations.iter().zip(&self.base_from_tip).enumerate()
+        {
+            let (expected, found) = (pose_of(values), chain.forward(q));
+            let position = (expected.translation.vector - found.translation.vector).norm();
+            let orientation = expected.rotation.angle_to(&found.rotation);
+            // Written so that a NaN in an edited record is a mismatch too.
+            let same = position <= POSITION_TOLERANCE_M && orientation <= ORIENTATION_TOLERANCE_RAD;
+            if !same {
+                return Err(RecordMismatch::Tip {
+                    configuration,
+                    tip: self.tip_frame.clone(),
+                    position_mm: 1e3 * position,
+                    orientation_mrad: 1e3 * orientation,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn pose_values(pose: &Isometry3<f64>) -> [f64; 7] {
+    let (p, q) = (pose.translation.vector, pose.rotation);
+    [p.x, p.y, p.z, q.i, q.j, q.k, q.w]
+}
+
+fn pose_of(values: &[f64; 7]) -> Isometry3<f64> {
+    let [x, y, z, i, j, k, w] = *values;
+    Isometry3::from_parts(
+        Translation3::new(x, y, z),
+        UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k)),
+    )
+}

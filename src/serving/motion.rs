@@ -1,0 +1,363 @@
+//! From a task and a manner to a motion that may leave: decode, aim, follow with the arm, time,
+//! and check what the arm will do. Nothing here draws at random.
+
+use std::f64::consts::PI;
+
+use nalgebra::Isometry3;
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
+
+use crate::demonstrations::TaskMeasureError;
+use crate::kinematics::Chain;
+use crate::kinematics::following::{FollowError, FollowOptions, follow};
+use crate::kinematics::timing::{Timed, time};
+use crate::parameters::{MannerParameters, TaskParameters};
+use crate::primitive::Generated;
+use crate::serving::{ErrorCode, GivenLocation, Refusal, Robot, Sample, ServedModel};
+use crate::trajectory::{EndEffectorTrajectory, Motion, Trajectory};
+
+/// Decodings beyond the first with which a motion is aimed at its task.
+const AIM_ROUNDS: usize = 3;
+/// Share of the tolerance within which a motion need not be aimed better.
+const AIM_SHARE: f64 = 0.05;
+/// Largest factor by which a motion is slowed down beyond what the velocity scale alone asks for.
+const MOST_SLOWDOWN: f64 = 4.0;
+/// Seed of the inverse kinematics' start configurations. It is fixed, so that one task in one
+/// manner is always the same motion.
+const START_SEED: u64 = 1;
+
+/// What every try of a request has in common.
+#[derive(Debug, Clone)]
+pub(super) struct Order {
+    pub(super) w: TaskParameters,
+    pub(super) in_distribution_task: f64,
+    pub(super) tolerance_m: f64,
+    pub(super) velocity_scale: f64,
+    pub(super) acceleration_scale: f64,
+    pub(super) rate_hz: Option<f64>,
+    pub(super) start: Option<Vec<f64>>,
+    pub(super) start_tolerance_rad: f64,
+    pub(super) warnings: Vec<String>,
+}
+
+/// A try that may not leave.
+#[derive(Debug)]
+pub(super) struct Failure {
+    pub(super) refusal: Refusal,
+    /// How many stages it passed.
+    stage: u8,
+    /// By how much it failed the next one; 0 would have passed.
+    excess: f64,
+}
+
+impl Failure {
+    /// The one that came nearer to passing.
+    pub(super) fn nearer(best: Option<Self>, other: Self) -> Self {
+        match best {
+            Some(best) if (best.stage, -best.excess) >= (other.stage, -other.excess) => best,
+            _ => other,
+        }
+    }
+}
+
+/// The arm along a path, in time.
+struct Executed {
+    states: Trajectory,
+    poses: Vec<Isometry3<f64>>,
+    timed: Timed,
+    position_error_m: f64,
+    orientation_error_rad: f64,
+    joint_margin: f64,
+}
+
+impl Order {
+    /// The motion of task and manner `h`, if it passes every check. `seed` and `tries` of the
+    /// sample are left for the caller.
+    pub(super) fn carry_out(
+        &self,
+        model: &ServedModel,
+        robot: &Robot,
+        h: &MannerParameters,
+    ) -> Result<Sample, Failure> {
+        let mut warnings = self.warnings.clone();
+        let generated = self.aimed(model, h, &mut warnings);
+        let mut executed = self.executed(model, robot, &generated.mean)?;
+        let mut points = generated.mean.steps();
+        if let Some(rate_hz) = self.rate_hz {
+            // The rate counts in the time that the motion takes once it is slowed down.
+            let duration = model.duration_secs * executed.timed.slowdown;
+            points = (duration * rate_hz).round().max(1.0) as usize + 1;
+            executed = self.executed(model, robot, &generated.mean.resampled(points))?;
+        }
+        let empirical = self.check_task(model, &executed)?;
+        self.check_validity(model, &executed)?;
+        if self.start.is_none() {
+            warnings.push("no joint states: the trajectory starts at its own first point".into());
+        }
+        let stddev = generated.stddev.resampled(points);
+        Ok(Sample {
+            end_effector_trajectory: EndEffectorTrajectory {
+                times_secs: executed.timed.trajectory.times_secs.clone(),
+                base_from_tip: executed.poses,
+            },
+            joint_trajectory: executed.timed.trajectory,
+            primitive_start_index: 0,
+            manner_names: model.primitive.manner_space().names(),
+            manner_values: h.values().to_vec(),
+            task_error: model.space().distance(&self.w, &empirical),
+            empirical_task: named(model, &empirical),
+            position_error: executed.position_error_m,
+            orientation_error: executed.orientation_error_rad,
+            joint_margin: executed.joint_margin,
+            min_clearance: f64::NAN,
+            slowdown: executed.timed.slowdown,
+            in_distribution_task: self.in_distribution_task,
+            in_distribution_manner: model.familiarity.manner(h.values()),
+            position_stddev: stddev.states().map(position_stddev).collect(),
+            seed: 0,
+            tries: 0,
+            warnings,
+        })
+    }
+
+    /// The decoder's motion, aimed: where `G` of the motion misses the task, the decoder is asked
+    /// for a task moved by the miss the other way, and the motion that misses least is kept.
+    ///
+    /// A decoder trained well maps tasks to motions almost as a translation, so each round divides
+    /// the miss several times; the check of the executed motion stays what decides.
+    fn aimed(
+        &self,
+        model: &ServedModel,
+        h: &MannerParameters,
+        warnings: &mut Vec<String>,
+    ) -> Generated {
+        let space = model.space();
+        let mut asked = self.w.clone();
+        let mut generated = model.primitive.decode(&asked, h);
+        let Ok(mut reached) = empirical(model, &generated.mean, model.duration_secs) else {
+            return generated;
+        };
+        for _ in 0..AIM_ROUNDS {
+            let miss = space.distance(&self.w, &reached);
+            if miss <= AIM_SHARE * self.tolerance_m {
+                break;
+            }
+            let moved = asked.values().iter().zip(self.w.values()).zip(reached.values());
+            let moved = moved.map(|((asked, w), reached)| asked + w - reached).collect();
+            let Ok(candidate) = TaskParameters::new(space, moved) else { break };
+            let next = model.primitive.decode(&candidate, h);
+            match empirical(model, &next.mean, model.duration_secs) {
+                Ok(there) if space.distance(&self.w, &there) < miss => {
+                    (asked, generated, reached) = (candidate, next, there);
+                }
+                _ => break,
+            }
+        }
+        let moved = space.distance(&self.w, &asked);
+        if moved > self.tolerance_m {
+            warnings.push(format!(
+                "the decoder was asked for a task {moved:.3} {} beside this one to meet it",
+                space.unit
+            ));
+        }
+        generated
+    }
+
+    /// What the arm does to follow the states.
+    fn executed(
+        &self,
+        model: &ServedModel,
+        robot: &Robot,
+        states: &Trajectory,
+    ) -> Result<Executed, Failure> {
+        let chain = &robot.chain;
+        let step_secs = model.duration_secs / (states.steps() - 1) as f64;
+        let wished = model.frame.poses(states);
+        let options = FollowOptions { start: self.start.clone(), ..FollowOptions::default() };
+        let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
+        let followed = follow(chain, &wished, step_secs, &options, &mut rng)
+            .map_err(|e| cannot_follow(model, chain, &wished, &self.w, &e))?;
+        if let Some(start) = &self.start {
+            self.check_start(robot, start, &followed.positions[0])?;
+        }
+        let timed = time(
+            chain,
+            &followed.positions,
+            step_secs,
+            self.velocity_scale,
+            self.acceleration_scale,
+        );
+        let beyond = timed.slowdown * self.velocity_scale.min(self.acceleration_scale);
+        if beyond > MOST_SLOWDOWN {
+            return Err(Failure {
+                refusal: Refusal::new(
+                    ErrorCode::TooFast,
+                    format!(
+                        "the motion would have to be {beyond:.1} times slower for the joints to \
+                         keep up, limit {MOST_SLOWDOWN}; choose another manner or task"
+                    ),
+                ),
+                stage: 1,
+                excess: beyond - MOST_SLOWDOWN,
+            });
+        }
+        let poses: Vec<_> = followed.positions.iter().map(|q| chain.forward(q)).collect();
+        Ok(Executed {
+            states: model.frame.trajectory(&poses),
+            poses,
+            timed,
+            position_error_m: followed.position_error_m,
+            orientation_error_rad: followed.orientation_error_rad,
+            joint_margin: followed.joint_margin_rad,
+        })
+    }
+
+    fn check_start(&self, robot: &Robot, start: &[f64], first: &[f64]) -> Result<(), Failure> {
+        let differences = start.iter().zip(first).map(|(a, b)| (a - b).abs());
+        let worst = differences.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        match worst {
+            Some((joint, difference)) if difference > self.start_tolerance_rad => Err(Failure {
+                refusal: Refusal::new(
+                    ErrorCode::StartTooFar,
+                    format!(
+                        "{} stands {difference:.3} rad from the first point of the motion \
+                         ({:.3} rad), limit {:.3} rad; move the arm there first, or leave start \
+                         empty",
+                        robot.chain.joints()[joint].name,
+                        first[joint],
+                        self.start_tolerance_rad
+                    ),
+                ),
+                stage: 1,
+                excess: difference,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// `G` of the motion as executed, if it is within tolerance of the task.
+    fn check_task(
+        &self,
+        model: &ServedModel,
+        executed: &Executed,
+    ) -> Result<TaskParameters, Failure> {
+        let failure = |message: String, excess| Failure {
+            refusal: Refusal::new(ErrorCode::TaskCheckFailed, message),
+            stage: 2,
+            excess,
+        };
+        let duration = model.duration_secs * executed.timed.slowdown;
+        let reached = empirical(model, &executed.states, duration).map_err(|e| {
+            failure(format!("the motion does not show its task: {e}; try another manner"), PI)
+        })?;
+        let space = model.space();
+        let error = space.distance(&self.w, &reached);
+        if error <= self.tolerance_m {
+            return Ok(reached);
+        }
+        let misses = space.locations().iter().enumerate().map(|(i, location)| {
+            let (a, b) = (self.w.location(i), reached.location(i));
+            format!("{} {:.3} m", location.name, (a[0] - b[0]).hypot(a[1] - b[1]))
+        });
+        Err(failure(
+            format!(
+                "the motion misses its task: {}; task.tolerance_m is {:.3}; try another manner or \
+                 a larger tolerance",
+                misses.collect::<Vec<_>>().join(", "),
+                self.tolerance_m
+            ),
+            error - self.tolerance_m,
+        ))
+    }
+
+    fn check_validity(&self, model: &ServedModel, executed: &Executed) -> Result<(), Failure> {
+        // In the learned timing: slowing down on request makes no pour invalid, and speeds only
+        // fall.
+        let motion = Motion { states: executed.states.clone(), duration_secs: model.duration_secs };
+        let violations = model.task.violations(&motion);
+        if violations.is_empty() {
+            return Ok(());
+        }
+        let texts: Vec<_> = violations.iter().map(ToString::to_string).collect();
+        Err(Failure {
+            refusal: Refusal::new(
+                ErrorCode::InvalidMotion,
+                format!("the motion is not a valid one: {}; try another manner", texts.join("; ")),
+            ),
+            stage: 3,
+            excess: violations.len() as f64,
+        })
+    }
+}
+
+/// Why the arm can't follow, with the location to move.
+fn cannot_follow(
+    model: &ServedModel,
+    chain: &Chain,
+    wished: &[Isometry3<f64>],
+    w: &TaskParameters,
+    error: &FollowError,
+) -> Failure {
+    let (code, point) = match *error {
+        FollowError::Unreachable { point, .. } => (ErrorCode::Unreachable, point),
+        FollowError::JointLimit { point, .. } => (ErrorCode::JointLimit, point),
+        FollowError::JointJump { point, .. } => (ErrorCode::JointJump, point),
+        // A decoded trajectory is neither empty nor infinite, and a start has the arm's length.
+        _ => (ErrorCode::Internal, 1),
+    };
+    let hint = match code {
+        ErrorCode::Unreachable => {
+            format!("; {}", where_to_move(model, chain, w, wished[point - 1]))
+        }
+        _ => String::new(),
+    };
+    Failure {
+        refusal: Refusal::new(code, format!("{error}{hint}")),
+        stage: 0,
+        // The later the point that fails, the nearer the motion came.
+        excess: (wished.len() - point) as f64,
+    }
+}
+
+/// Which location to move, and which way, for the arm to reach a tip that it does not reach.
+fn where_to_move(
+    model: &ServedModel,
+    chain: &Chain,
+    w: &TaskParameters,
+    tip: Isometry3<f64>,
+) -> String {
+    let shoulder = chain.joints()[0].parent_from_joint.translation.vector;
+    let links = chain.joints()[1..].iter().map(|j| j.parent_from_joint.translation.vector.norm());
+    let length = links.sum::<f64>() + chain.last_joint_from_tip().translation.vector.norm();
+    let distance = |i: &usize| {
+        let [x, y] = w.location(*i);
+        (x - shoulder.x).hypot(y - shoulder.y)
+    };
+    let locations = model.space().locations();
+    let by_distance = |a: &usize, b: &usize| distance(a).total_cmp(&distance(b));
+    // Out of reach is either too far away or, within half the arm's length, too near.
+    let (location, way) = if (tip.translation.vector - shoulder).norm() > 0.5 * length {
+        ((0..locations.len()).max_by(by_distance), "towards the base")
+    } else {
+        ((0..locations.len()).min_by(by_distance), "away from the base")
+    };
+    location.map_or(String::new(), |i| format!("move {} {way}", locations[i].name))
+}
+
+fn empirical(
+    model: &ServedModel,
+    states: &Trajectory,
+    duration_secs: f64,
+) -> Result<TaskParameters, TaskMeasureError> {
+    model.task.empirical_task(&Motion { states: states.clone(), duration_secs })
+}
+
+fn named(model: &ServedModel, w: &TaskParameters) -> Vec<GivenLocation> {
+    let locations = model.space().locations().iter().enumerate();
+    locations.map(|(i, l)| GivenLocation { name: l.name.clone(), xy: w.location(i) }).collect()
+}
+
+/// Root mean square over the three axes of the position's standard deviations (m).
+fn position_stddev(stddev: &[f64]) -> f64 {
+    (stddev[..3].iter().map(|s| s * s).sum::<f64>() / 3.0).sqrt()
+}

@@ -1,0 +1,570 @@
+//! The server: takes tasks, manners and settings, and answers requests with checked motions.
+
+use std::cmp::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
+
+use crate::parameters::{MannerParameters, ParameterError, TaskParameters};
+use crate::serving::motion::{Failure, Order};
+use crate::serving::{
+    Description, ErrorCode, GivenLocation, MAX_COUNT, MannerMode, OutOfDistribution, RankBy,
+    Refusal, Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings,
+};
+
+/// A location as it was given, and when.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Given {
+    xy: [f64; 2],
+    at_secs: f64,
+}
+
+/// The state and the rules of the node. Clones are cheap and share the model, the robot and the
+/// stream of seeds: a caller samples on a clone while others change the original.
+#[derive(Debug, Clone)]
+pub struct PrimitiveServer {
+    model: Arc<ServedModel>,
+    robot: Arc<Robot>,
+    settings: Settings,
+    /// One for each location of the model's task space.
+    given: Vec<Option<Given>>,
+    defaults: Vec<Option<[f64; 2]>>,
+    manner: MannerParameters,
+    /// Seeds handed out since `settings.seed` was set.
+    seeds_drawn: Arc<AtomicU64>,
+}
+
+impl PrimitiveServer {
+    /// A server of `model` on `robot`.
+    ///
+    /// # Errors
+    /// [`ErrorCode::RobotMismatch`] when the model was made for another arm, and
+    /// [`ErrorCode::BadRequest`] for settings outside their ranges.
+    pub fn new(
+        model: Arc<ServedModel>,
+        robot: Arc<Robot>,
+        settings: Settings,
+    ) -> Result<Self, Refusal> {
+        check_robot(&model, &robot)?;
+        let locations = model.space().locations().len();
+        Ok(Self {
+            manner: MannerParameters::mean(model.primitive.manner_space()),
+            given: vec![None; locations],
+            defaults: vec![None; locations],
+            settings: settings.checked()?,
+            seeds_drawn: Arc::default(),
+            model,
+            robot,
+        })
+    }
+
+    /// The model that is served.
+    pub fn model(&self) -> &ServedModel {
+        &self.model
+    }
+
+    /// The robot that it is served on.
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Changes the settings; a new seed restarts the stream of seeds.
+    ///
+    /// # Errors
+    /// [`ErrorCode::BadRequest`] for a value outside its range; then the old settings stay.
+    pub fn set_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
+        let settings = settings.checked()?;
+        if settings.seed != self.settings.seed {
+            self.seeds_drawn = Arc::default();
+        }
+        self.settings = settings;
+        Ok(())
+    }
+
+    /// The location that a goal pose sets: the first of the task space.
+    pub fn goal_location(&self) -> &str {
+        &self.model.space().locations()[0].name
+    }
+
+    /// Sets a location of the task, in the base frame, received at `now_secs` on a clock that
+    /// never goes back.
+    ///
+    /// # Errors
+    /// [`ErrorCode::TaskUnknown`], [`ErrorCode::NotFinite`].
+    pub fn set_location(&mut self, name: &str, xy: [f64; 2], now_secs: f64) -> Result<(), Refusal> {
+        let index = self.location_index(name)?;
+        check_finite(name, xy)?;
+        self.given[index] = Some(Given { xy, at_secs: now_secs });
+        Ok(())
+    }
+
+    /// Sets what a location is while nothing else was given; `None` for nothing.
+    ///
+    /// # Errors
+    /// [`ErrorCode::TaskUnknown`], [`ErrorCode::NotFinite`].
+    pub fn set_default_location(
+        &mut self,
+        name: &str,
+        xy: Option<[f64; 2]>,
+    ) -> Result<(), Refusal> {
+        let index = self.location_index(name)?;
+        if let Some(xy) = xy {
+            check_finite(name, xy)?;
+        }
+        self.defaults[index] = xy;
+        Ok(())
+    }
+
+    /// The manner that is set, in standard deviations of the prior.
+    pub fn manner(&self) -> &[f64] {
+        self.manner.values()
+    }
+
+    /// Sets manner parameters by name; the others stay, or go back to the prior's mean with
+    /// `reset`.
+    ///
+    /// # Errors
+    /// [`ErrorCode::BadRequest`] for lists of different lengths or a name that stands twice,
+    /// [`ErrorCode::MannerUnknown`], [`ErrorCode::MannerRange`], [`ErrorCode::NotFinite`]; then
+    /// nothing changes.
+    pub fn set_manner(
+        &mut self,
+        names: &[String],
+        values: &[f64],
+        reset: bool,
+    ) -> Result<(), Refusal> {
+        let mut manner = match reset {
+            true => vec![0.0; self.manner.values().len()],
+            false => self.manner.values().to_vec(),
+        };
+        for (index, value) in self.fixed_manner(names, values)? {
+            manner[index] = value;
+        }
+        self.manner = MannerParameters::new(self.model.primitive.manner_space(), manner)
+            .map_err(manner_refusal)?;
+        Ok(())
+    }
+
+    /// Serves another model from now on. Locations and manner parameters that both models have
+    /// keep their values.
+    ///
+    /// # Errors
+    /// [`ErrorCode::RobotMismatch`]; then the old model stays.
+    pub fn load_model(&mut self, model: Arc<ServedModel>) -> Result<(), Refusal> {
+        check_robot(&model, &self.robot)?;
+        let (old, new) = (self.model.space(), model.space());
+        let kept = new.locations().iter().map(|l| old.location_index(&l.name));
+        let (given, defaults) = kept
+            .map(|old| (old.and_then(|i| self.given[i]), old.and_then(|i| self.defaults[i])))
+            .unzip();
+        let old_space = self.model.primitive.manner_space();
+        let new_space = model.primitive.manner_space();
+        let manner = new_space.axes().iter().map(|axis| match old_space.index(&axis.name) {
+            Ok(i) => self.manner.values()[i].clamp(axis.lower, axis.upper),
+            Err(_) => 0.0,
+        });
+        let manner = MannerParameters::new(new_space, manner.collect()).map_err(manner_refusal)?;
+        (self.given, self.defaults, self.manner, self.model) = (given, defaults, manner, model);
+        Ok(())
+    }
+
+    /// What is served.
+    pub fn describe(&self) -> Description {
+        let model = &*self.model;
+        let intervals = model.space().intervals();
+        Description {
+            model_id: model.model_id.clone(),
+            primitive: model.task.name().into(),
+            task_names: model.space().value_names(),
+            task_lower: intervals.iter().map(|i| i.lower).collect(),
+            task_upper: intervals.iter().map(|i| i.upper).collect(),
+            manner: model.primitive.manner_space().axes().to_vec(),
+            manner_values: self.manner.values().to_vec(),
+            evaluation_json: model.evaluation_json.clone(),
+            robot: self.robot.name.clone(),
+            joint_names: self.robot.chain.joint_names(),
+            synthetic_data: model.synthetic_data,
+        }
+    }
+
+    /// Answers a request at `now_secs` of the clock that [`Self::set_location`] uses.
+    ///
+    /// Every sample of the answer has passed every check; when there are fewer than asked for,
+    /// the refusal says why.
+    pub fn sample(&self, request: &SampleRequest, now_secs: f64) -> SampleReply {
+        let mut samples = Vec::new();
+        let refusal = self.fill(&mut samples, request, now_secs).err();
+        rank(&mut samples, request.rank_by);
+        SampleReply { samples, refusal, model_id: self.model.model_id.clone() }
+    }
+
+    fn fill(
+        &self,
+        samples: &mut Vec<Sample>,
+        request: &SampleRequest,
+        now_secs: f64,
+    ) -> Result<(), Refusal> {
+        let count = request.count.max(1);
+        if count > MAX_COUNT {
+            return Err(bad_request(format!(
+                "{count} samples asked for; one request gives at most {MAX_COUNT}; ask again with \
+                 another seed for more"
+            )));
+        }
+        let w = self.task(&request.task, now_secs)?;
+        let fixed = self.fixed_manner(&request.manner_names, &request.manner_values)?;
+        let mut warnings = Vec::new();
+        let familiarity = self.check_familiar(&w, request, &mut warnings)?;
+        let order = self.order(request, w, familiarity, warnings)?;
+        let first_seed = match request.seed {
+            0 => self.next_seed(count),
+            seed => seed,
+        };
+        for i in 0..u64::from(count) {
+            // Seed 0 means the node's own, so it is never a sample's.
+            let seed = first_seed.wrapping_add(i).max(1);
+            samples.push(self.draw(request, &fixed, &order, seed)?);
+        }
+        Ok(())
+    }
+
+    /// Draws manners until a motion passes every check.
+    fn draw(
+        &self,
+        request: &SampleRequest,
+        fixed: &[(usize, f64)],
+        order: &Order,
+        seed: u64,
+    ) -> Result<Sample, Refusal> {
+        let space = self.model.primitive.manner_space();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let draws = request.sample_manner || self.settings.manner_mode == MannerMode::Prior;
+        // With every manner parameter fixed, a second draw would be the first again.
+        let tries = match draws && fixed.len() < space.dim() {
+            true => self.settings.max_tries,
+            false => 1,
+        };
+        let mut best: Option<Failure> = None;
+        for attempt in 1..=tries {
+            let mut h = match draws {
+                true => self.model.primitive.sample_manner(&mut rng).values().to_vec(),
+                false => self.manner.values().to_vec(),
+            };
+            for &(index, value) in fixed {
+                h[index] = value;
+            }
+            let h = MannerParameters::new(space, h).map_err(manner_refusal)?;
+            match order.carry_out(&self.model, &self.robot, &h) {
+                Ok(sample) => return Ok(Sample { seed, tries: attempt, ..sample }),
+                Err(failure) => best = Some(Failure::nearer(best, failure)),
+            }
+        }
+        let failure = best.expect("at least one try");
+        Err(match tries {
+            1 => failure.refusal,
+            _ => Refusal {
+                message: format!(
+                    "none of {tries} draws passed (sample.max_tries); the nearest: {}",
+                    failure.refusal.message
+                ),
+                ..failure.refusal
+            },
+        })
+    }
+
+    fn order(
+        &self,
+        request: &SampleRequest,
+        w: TaskParameters,
+        in_distribution_task: f64,
+        warnings: Vec<String>,
+    ) -> Result<Order, Refusal> {
+        let scale = |name: &str, asked: f64, set: f64| match asked {
+            0.0 => Ok(set),
+            _ if asked.is_nan() || asked.is_infinite() => {
+                Err(Refusal::new(ErrorCode::NotFinite, format!("{name} is {asked}")))
+            }
+            _ if (0.01..=1.0).contains(&asked) => Ok(asked),
+            _ => Err(bad_request(format!(
+                "{name} = {asked} is outside [0.01, 1]; 0 takes the node's setting, {set}"
+            ))),
+        };
+        Ok(Order {
+            w,
+            in_distribution_task,
+            tolerance_m: self.settings.tolerance_m,
+            velocity_scale: scale(
+                "velocity_scale",
+                request.velocity_scale,
+                self.settings.velocity_scale,
+            )?,
+            acceleration_scale: scale(
+                "acceleration_scale",
+                request.acceleration_scale,
+                self.settings.acceleration_scale,
+            )?,
+            rate_hz: self.rate(request.rate_hz)?,
+            start: self.start(&request.start)?,
+            start_tolerance_rad: self.settings.start_tolerance_rad,
+            warnings,
+        })
+    }
+
+    /// The rate that is asked for, if it makes a sensible number of points.
+    fn rate(&self, rate_hz: f64) -> Result<Option<f64>, Refusal> {
+        const MOST_POINTS: f64 = 5000.0;
+        if rate_hz == 0.0 {
+            return Ok(None);
+        }
+        if !rate_hz.is_finite() {
+            return Err(Refusal::new(ErrorCode::NotFinite, format!("rate_hz is {rate_hz}")));
+        }
+        let points = rate_hz * self.model.duration_secs;
+        if (2.0..=MOST_POINTS).contains(&points) {
+            return Ok(Some(rate_hz));
+        }
+        Err(bad_request(format!(
+            "rate_hz = {rate_hz} makes {points:.0} points of a motion of {:.1} s; 2 to \
+             {MOST_POINTS} are served; choose a rate between {:.2} and {:.0}, or 0 for the model's",
+            self.model.duration_secs,
+            2.0 / self.model.duration_secs,
+            MOST_POINTS / self.model.duration_secs,
+        )))
+    }
+
+    /// The start as a configuration of the arm.
+    fn start(&self, named: &[(String, f64)]) -> Result<Option<Vec<f64>>, Refusal> {
+        if named.is_empty() {
+            return Ok(None);
+        }
+        let position = |joint: &String| match named.iter().find(|(name, _)| name == joint) {
+            Some((_, position)) if position.is_finite() => Ok(*position),
+            Some((_, position)) => Err(Refusal::new(
+                ErrorCode::NotFinite,
+                format!("start has {joint} at {position}; a finite number is needed"),
+            )),
+            None => Err(bad_request(format!(
+                "start has no position of {joint}; it needs every joint of the arm, or none"
+            ))),
+        };
+        self.robot.chain.joint_names().iter().map(position).collect::<Result<_, _>>().map(Some)
+    }
+
+    /// The task of a request: its own locations, else the latest, else the defaults.
+    fn task(&self, asked: &[GivenLocation], now_secs: f64) -> Result<TaskParameters, Refusal> {
+        let space = self.model.space();
+        let mut own = vec![None; space.locations().len()];
+        for location in asked {
+            let index = self.location_index(&location.name)?;
+            check_finite(&location.name, location.xy)?;
+            if own[index].replace(location.xy).is_some() {
+                return Err(bad_request(format!(
+                    "the task names {} twice; give each location once",
+                    location.name
+                )));
+            }
+        }
+        let mut values = Vec::with_capacity(space.dim());
+        for (index, location) in space.locations().iter().enumerate() {
+            let xy = match (own[index], self.given[index], self.defaults[index]) {
+                (Some(xy), _, _) => xy,
+                (None, Some(given), _) => self.fresh(&location.name, given, now_secs)?,
+                (None, None, Some(default)) => default,
+                (None, None, None) => {
+                    return Err(Refusal::new(
+                        ErrorCode::NoTask,
+                        format!(
+                            "no {0} so far, and task.{0}.default is empty; publish {0}, put it \
+                             into the request, or set the default",
+                            location.name
+                        ),
+                    ));
+                }
+            };
+            values.extend(xy);
+        }
+        TaskParameters::new(space, values)
+            .map_err(|e| Refusal::new(ErrorCode::NotFinite, e.to_string()))
+    }
+
+    fn fresh(&self, name: &str, given: Given, now_secs: f64) -> Result<[f64; 2], Refusal> {
+        let age = now_secs - given.at_secs;
+        let limit = self.settings.max_age_secs;
+        if limit > 0.0 && age > limit {
+            return Err(Refusal::new(
+                ErrorCode::StaleTask,
+                format!(
+                    "{name} is {age:.1} s old, task.max_age_s is {limit:.1} s; publish it again"
+                ),
+            ));
+        }
+        Ok(given.xy)
+    }
+
+    /// The manner parameters that names and values fix.
+    fn fixed_manner(&self, names: &[String], values: &[f64]) -> Result<Vec<(usize, f64)>, Refusal> {
+        if names.len() != values.len() {
+            return Err(bad_request(format!(
+                "{} manner names and {} values; give one value for each name",
+                names.len(),
+                values.len()
+            )));
+        }
+        let space = self.model.primitive.manner_space();
+        let mut fixed: Vec<(usize, f64)> = Vec::with_capacity(names.len());
+        for (name, &value) in names.iter().zip(values) {
+            let index = space.index(name).map_err(manner_refusal)?;
+            if fixed.iter().any(|(i, _)| *i == index) {
+                return Err(bad_request(format!("the manner parameter {name} is given twice")));
+            }
+            let axis = &space.axes()[index];
+            if !value.is_finite() {
+                return Err(manner_refusal(ParameterError::NotFinite {
+                    name: name.clone(),
+                    value,
+                }));
+            }
+            if !(axis.lower..=axis.upper).contains(&value) {
+                let (lower, upper) = (axis.lower, axis.upper);
+                let name = name.clone();
+                return Err(manner_refusal(ParameterError::Range { name, value, lower, upper }));
+            }
+            fixed.push((index, value));
+        }
+        Ok(fixed)
+    }
+
+    /// The share of training tasks further out than `w`.
+    ///
+    /// # Errors
+    /// [`ErrorCode::OutOfDistribution`] for a task outside the trained region, where that is not
+    /// allowed.
+    fn check_familiar(
+        &self,
+        w: &TaskParameters,
+        request: &SampleRequest,
+        warnings: &mut Vec<String>,
+    ) -> Result<f64, Refusal> {
+        let space = self.model.space();
+        let share = self.model.familiarity.task(w.values());
+        let outside = space
+            .value_names()
+            .into_iter()
+            .zip(space.intervals())
+            .zip(w.values())
+            .find(|((_, interval), value)| !interval.contains(**value));
+        let fact = match outside {
+            Some(((name, interval), value)) => format!(
+                "{name} = {value:.3} {} is outside the trained region, {:.3} to {:.3}",
+                space.unit, interval.lower, interval.upper
+            ),
+            None if share == 0.0 => {
+                let values: Vec<_> = w.values().iter().map(|v| format!("{v:.3}")).collect();
+                format!(
+                    "the task ({}) lies further from the training tasks than any of them from the \
+                     others",
+                    values.join(", ")
+                )
+            }
+            None => return Ok(share),
+        };
+        if request.allow_out_of_distribution
+            || self.settings.out_of_distribution == OutOfDistribution::Warn
+        {
+            warnings.push(fact);
+            return Ok(share);
+        }
+        Err(Refusal::new(
+            ErrorCode::OutOfDistribution,
+            format!(
+                "{fact}; choose a task inside, or set out_of_distribution to warn (the motion is \
+                 still checked)"
+            ),
+        ))
+    }
+
+    fn location_index(&self, name: &str) -> Result<usize, Refusal> {
+        let space = self.model.space();
+        space.location_index(name).ok_or_else(|| {
+            let known: Vec<_> = space.locations().iter().map(|l| l.name.as_str()).collect();
+            Refusal::new(
+                ErrorCode::TaskUnknown,
+                format!("the model has no location {name:?}; it has {}", known.join(", ")),
+            )
+        })
+    }
+
+    /// The next `count` seeds of the node's stream; the first of them.
+    fn next_seed(&self, count: u32) -> u64 {
+        self.settings.seed.wrapping_add(self.seeds_drawn.fetch_add(u64::from(count), Relaxed))
+    }
+}
+
+fn check_robot(model: &ServedModel, robot: &Robot) -> Result<(), Refusal> {
+    model.robot.check(&robot.chain).map_err(|mismatch| {
+        Refusal::new(
+            ErrorCode::RobotMismatch,
+            format!(
+                "{mismatch}; serve a model that was trained for {}, or give the description of {}",
+                robot.name, model.robot.name
+            ),
+        )
+    })
+}
+
+fn check_finite(name: &str, xy: [f64; 2]) -> Result<(), Refusal> {
+    match xy.iter().all(|v| v.is_finite()) {
+        true => Ok(()),
+        false => Err(Refusal::new(
+            ErrorCode::NotFinite,
+            format!("{name} is ({}, {}); finite numbers are needed", xy[0], xy[1]),
+        )),
+    }
+}
+
+fn bad_request(message: String) -> Refusal {
+    Refusal::new(ErrorCode::BadRequest, message)
+}
+
+fn manner_refusal(error: ParameterError) -> Refusal {
+    let code = match error {
+        ParameterError::Unknown { .. } => ErrorCode::MannerUnknown,
+        ParameterError::Range { .. } => ErrorCode::MannerRange,
+        ParameterError::NotFinite { .. } => ErrorCode::NotFinite,
+        ParameterError::Length { .. } | ParameterError::Duplicate { .. } => ErrorCode::BadRequest,
+    };
+    Refusal::new(code, error.to_string())
+}
+
+/// Orders samples; equal ones stay as they were drawn.
+fn rank(samples: &mut [Sample], by: RankBy) {
+    let ascending = |cost: fn(&Sample) -> f64| {
+        move |a: &Sample, b: &Sample| -> Ordering { cost(a).total_cmp(&cost(b)) }
+    };
+    match by {
+        RankBy::Drawn => {}
+        RankBy::Margin => samples.sort_by(ascending(|s| -s.joint_margin)),
+        RankBy::Smoothness => samples.sort_by(ascending(|s| roughness(&s.joint_trajectory))),
+        RankBy::Duration => samples.sort_by(ascending(|s| {
+            s.joint_trajectory.times_secs.last().copied().unwrap_or_default()
+        })),
+    }
+}
+
+/// Mean square of the joints' accelerations, by differences of the velocities.
+fn roughness(trajectory: &crate::trajectory::JointTrajectory) -> f64 {
+    let mut sum = 0.0;
+    for i in 1..trajectory.velocities.len() {
+        let step = trajectory.times_secs[i] - trajectory.times_secs[i - 1];
+        let pair = trajectory.velocities[i].iter().zip(&trajectory.velocities[i - 1]);
+        sum += pair.map(|(b, a)| ((b - a) / step).powi(2)).sum::<f64>();
+    }
+    sum / trajectory.velocities.len() as f64
+}
