@@ -252,8 +252,8 @@ fn a_change_of_branch_is_refused_though_every_pose_is_in_reach() {
 
 #[test]
 fn two_poses_with_an_unreachable_way_between_them_are_a_jump_however_slow() {
-    // Across the base, within 0.2 m of which no tip comes.
-    let path = [outwards(0.9, 0.0), outwards(0.9, 0.0) * Isometry3::translation(-1.8, 0.0, 0.0)];
+    // Past the base at a tenth of a metre, where no tip comes.
+    let path = [outwards(0.9, 0.0), outwards(0.9, 2.9)];
     let error =
         follow(&planar(3.0), &path, 60.0, &FollowOptions::default(), &mut rng(1)).unwrap_err();
     assert!(matches!(error, FollowError::JointJump { point: 2, points: 2, .. }), "{error}");
