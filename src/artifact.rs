@@ -1,1 +1,762 @@
-//! To be written.
+//! The model file: everything that serving, evaluating and repeating need, in one safetensors file.
+//!
+//! The tensors are the weights ([`crate::model::Layout`] names them), the baseline where the model
+//! has one, and `training.tasks`, the tasks that were trained on. The metadata holds one key,
+//! `tcvae`, with a JSON document:
+//!
+//! ```json
+//! { "kind": "model", "format_version": 1,
+//!   "tensors_sha256": "…", "document_sha256": "…",
+//!   "document": { … } }
+//! ```
+//!
+//! Both digests are checked on loading, so that a damaged or edited file is refused and nothing is
+//! guessed. A file is written beside its place and then renamed, so that no reader sees half of it.
+//! There are no dates in it: the same training gives the same bytes.
+
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
+use safetensors::tensor::{Dtype, TensorView};
+use safetensors::{SafeTensors, serialize};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::demonstrations::TaskConfig;
+use crate::evaluation::Evaluation;
+use crate::kinematics::Chain;
+use crate::model::{ModelConfig, ModelError, NamedTensor, Normalizer, TcVaePrimitive, Weights};
+use crate::parameters::{MannerSpace, TaskSpace};
+use crate::training::{EpochReport, LatentStatistics, TrainingConfig};
+
+/// The newest format that this program reads, and the one that it writes.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// The metadata key of the document.
+const KEY: &str = "tcvae";
+/// The tasks that were trained on, `[demonstrations, task_dim]`, in the task's units.
+const TASKS: &str = "training.tasks";
+/// Larger files are no models of ours.
+const MAX_BYTES: u64 = 256 << 20;
+/// Configurations of the robot at which its forward kinematics are stored.
+const CONFIGURATIONS: usize = 20;
+/// Largest difference of the forward kinematics at which a robot is the model's: 1 mm, 1 mrad.
+const MAX_POSITION_ERROR_M: f64 = 1e-3;
+/// See [`MAX_POSITION_ERROR_M`].
+const MAX_ORIENTATION_ERROR_RAD: f64 = 1e-3;
+
+/// Why a file is not one that can be served.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ArtifactError {
+    /// The operating system refused.
+    #[error("{action} {}: {source}", path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// On which file.
+        path: PathBuf,
+        /// Its answer.
+        source: io::Error,
+    },
+    /// The file is larger than any model.
+    #[error("the file has {bytes} bytes; a model has at most {MAX_BYTES}")]
+    TooLarge {
+        /// Its size.
+        bytes: u64,
+    },
+    /// The file is no safetensors file, or not all of one.
+    #[error("the file is damaged: {detail}; copy it again, or train anew")]
+    Damaged {
+        /// What is wrong.
+        detail: String,
+    },
+    /// A safetensors file that is not ours.
+    #[error("the file is no {expected} of this program: {detail}")]
+    Foreign {
+        /// `model` or `checkpoint`.
+        expected: &'static str,
+        /// What is missing.
+        detail: String,
+    },
+    /// The file is from a newer program.
+    #[error(
+        "the file has format version {found}; this program reads versions up to {FORMAT_VERSION}; \
+         update it"
+    )]
+    Version {
+        /// The file's version.
+        found: u32,
+    },
+    /// The content is not what was written.
+    #[error(
+        "the {part} are not what was written: their SHA-256 is {found}, and {expected} is stored; \
+         the file was edited or damaged"
+    )]
+    Digest {
+        /// `tensors` or `metadata`.
+        part: &'static str,
+        /// The digest of what was read.
+        found: String,
+        /// The digest that is stored.
+        expected: String,
+    },
+    /// The document says something that this version does not know.
+    #[error("the file's document can't be read: {detail}")]
+    Document {
+        /// What is wrong.
+        detail: String,
+    },
+    /// The parts are not a model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
+
+/// Why a robot is not the one that a model was made for.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RobotMismatch {
+    /// Other joints, or another order.
+    #[error(
+        "the model moves the joints {expected:?}; the robot's chain has {found:?}; load the \
+         description of {robot}, or a model for this robot"
+    )]
+    Joints {
+        /// The model's robot.
+        robot: String,
+        /// The model's joints.
+        expected: Vec<String>,
+        /// The chain's joints.
+        found: Vec<String>,
+    },
+    /// Another tip.
+    #[error(
+        "the model moves the frame {expected:?}; the robot's chain ends at {found:?}; set tip_link"
+    )]
+    Tip {
+        /// The model's tip.
+        expected: String,
+        /// The chain's tip.
+        found: String,
+    },
+    /// The same joints put the tip elsewhere.
+    #[error(
+        "at stored configuration {configuration} the robot's tip is {position_error_m:.4} m and \
+         {orientation_error_rad:.4} rad from where {robot} has it; the limits are \
+         {MAX_POSITION_ERROR_M} m and {MAX_ORIENTATION_ERROR_RAD} rad; load the description that \
+         the model was made with"
+    )]
+    Kinematics {
+        /// The model's robot.
+        robot: String,
+        /// The first configuration that differs.
+        configuration: usize,
+        /// Distance of the tips.
+        position_error_m: f64,
+        /// Angle between them.
+        orientation_error_rad: f64,
+    },
+}
+
+/// Where demonstrations came from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DataSource {
+    /// Simulated by this program.
+    Synthetic,
+    /// Recorded on a robot.
+    Recorded,
+}
+
+/// A pose as numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordedPose {
+    /// Position (m).
+    pub position_m: [f64; 3],
+    /// Orientation as a unit quaternion (x, y, z, w).
+    pub quaternion_xyzw: [f64; 4],
+}
+
+/// The robot that a model was made for, and how to tell it from others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotRecord {
+    /// Name, such as `baxter`.
+    pub name: String,
+    /// The frame of the poses.
+    pub base_frame: String,
+    /// The frame that moves.
+    pub tip_frame: String,
+    /// The joints in their order.
+    pub joint_names: Vec<String>,
+    /// Joint positions inside the limits.
+    pub configurations: Vec<Vec<f64>>,
+    /// The tip in the base frame at each of them.
+    pub base_from_tip: Vec<RecordedPose>,
+    /// SHA-256 over the URDF, for provenance; another file with the same kinematics will do.
+    pub urdf_sha256: String,
+}
+
+/// All that a model file says beside its tensors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelDocument {
+    /// The shape of the networks.
+    pub model: ModelConfig,
+    /// The settings of the training, its seed among them.
+    pub training: TrainingConfig,
+    /// The last epoch.
+    pub last_epoch: Option<EpochReport>,
+    /// Revision of the program's sources.
+    pub git_revision: String,
+    /// SHA-256 over the data that was trained on.
+    pub data_digest: String,
+    /// Where that data came from.
+    pub data_source: DataSource,
+    /// Demonstrations that were trained on.
+    pub training_demonstrations: usize,
+    /// What w means, with the region that was trained.
+    pub task_space: TaskSpace,
+    /// What h means, and what each of its values does.
+    pub manner_space: MannerSpace,
+    /// Posteriors of the validation set, one entry for each latent.
+    pub latents: Vec<LatentStatistics>,
+    /// Names of the state's values.
+    pub state_names: Vec<String>,
+    /// Median duration of the demonstrations, at which motions are served.
+    pub duration_secs: f64,
+    /// Offsets and scales.
+    pub normalizer: Normalizer,
+    /// Orientation of the tip whose rotation vector is 0, as a unit quaternion (x, y, z, w); none
+    /// where states are no poses.
+    pub state_reference_xyzw: Option<[f64; 4]>,
+    /// The task, and how it measures motions.
+    pub task: TaskConfig,
+    /// The robot; none where states are no poses.
+    pub robot: Option<RobotRecord>,
+    /// The measured quality.
+    pub evaluation: Option<Evaluation>,
+}
+
+/// A model file's content.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Artifact {
+    /// The document.
+    pub document: ModelDocument,
+    /// The weights, the baseline and the tasks that were trained on.
+    tensors: Weights,
+}
+
+impl Artifact {
+    /// A model with the tasks that it was trained on, in the order of the task space.
+    ///
+    /// # Errors
+    /// Parts that don't fit together.
+    pub fn new(
+        document: ModelDocument,
+        weights: Weights,
+        training_tasks: &[Vec<f64>],
+    ) -> Result<Self, ArtifactError> {
+        let mut tensors = weights;
+        let values = training_tasks.iter().flatten().map(|v| *v as f32).collect();
+        let shape = vec![training_tasks.len(), document.model.task_dim];
+        tensors.insert(TASKS.into(), NamedTensor { shape, values });
+        Self { document, tensors }.checked()
+    }
+
+    /// Reads a model file.
+    ///
+    /// # Errors
+    /// Why it can't be served.
+    pub fn load(path: &Path) -> Result<Self, ArtifactError> {
+        Self::from_bytes(&read(path)?)
+    }
+
+    /// Reads a model file's bytes.
+    ///
+    /// # Errors
+    /// Why it can't be served.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, ArtifactError> {
+        let (document, tensors) = decode(bytes, "model")?;
+        Self { document, tensors }.checked()
+    }
+
+    /// The file's bytes; the same content gives the same bytes.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        encode(&self.tensors, "model", &self.document)
+    }
+
+    /// Writes the file: beside its place first, then renamed.
+    ///
+    /// # Errors
+    /// What the operating system refused. A document that would not be read back, such as one with
+    /// a number that is not finite, is not written.
+    pub fn save(&self, path: &Path) -> Result<(), ArtifactError> {
+        let bytes = self.to_bytes();
+        Self::from_bytes(&bytes)?;
+        write(path, &bytes)
+    }
+
+    /// What tells this model from others: the first 12 digits of the SHA-256 over its tensors.
+    pub fn model_id(&self) -> String {
+        tensors_digest(&self.tensors)[..12].to_owned()
+    }
+
+    /// The model as a movement primitive.
+    pub fn primitive(&self) -> TcVaePrimitive {
+        self.build().expect("checked when it was made")
+    }
+
+    /// The weights.
+    pub fn weights(&self) -> &Weights {
+        &self.tensors
+    }
+
+    /// The tasks that were trained on, in the order and unit of the task space.
+    pub fn training_tasks(&self) -> impl ExactSizeIterator<Item = &[f32]> {
+        self.tensors[TASKS].values.chunks_exact(self.document.model.task_dim)
+    }
+
+    fn build(&self) -> Result<TcVaePrimitive, ModelError> {
+        let ModelDocument { model, normalizer, task_space, manner_space, .. } = &self.document;
+        let (task_space, manner_space) = (task_space.clone(), manner_space.clone());
+        TcVaePrimitive::new(model, normalizer, &self.tensors, task_space, manner_space)
+    }
+
+    fn checked(self) -> Result<Self, ArtifactError> {
+        self.build()?;
+        let ModelDocument { model, state_names, latents, duration_secs, .. } = &self.document;
+        let document = |detail| Err(ArtifactError::Document { detail });
+        if state_names.len() != model.state_dim {
+            return document(format!(
+                "{} state names for {} state values",
+                state_names.len(),
+                model.state_dim
+            ));
+        }
+        if latents.len() != model.network.latents {
+            return document(format!(
+                "statistics of {} latents where the model has {}",
+                latents.len(),
+                model.network.latents
+            ));
+        }
+        if !(duration_secs.is_finite() && *duration_secs > 0.0) {
+            return document(format!("a duration of {duration_secs} s; above 0 is needed"));
+        }
+        match self.tensors.get(TASKS) {
+            Some(NamedTensor { shape, values })
+                if matches!(shape[..], [_, dim] if dim == model.task_dim)
+                    && values.iter().all(|v| v.is_finite()) =>
+            {
+                Ok(self)
+            }
+            Some(NamedTensor { shape, .. }) => {
+                document(format!("the tensor {TASKS} has the shape {shape:?}, or is not finite"))
+            }
+            None => document(format!("the tensor {TASKS} is missing")),
+        }
+    }
+}
+
+impl RobotRecord {
+    /// The record of the robot whose chain this is. The configurations are always the same for the
+    /// same limits.
+    pub fn new(name: &str, chain: &Chain, urdf_xml: &str) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let configuration = |_| -> Vec<f64> {
+            chain.joints().iter().map(|j| rng.random_range(j.lower..=j.upper)).collect()
+        };
+        let configurations: Vec<_> = (0..CONFIGURATIONS).map(configuration).collect();
+        Self {
+            name: name.into(),
+            base_frame: chain.base_frame().into(),
+            tip_frame: chain.tip_frame().into(),
+            joint_names: chain.joint_names(),
+            base_from_tip: configurations.iter().map(|q| chain.forward(q).into()).collect(),
+            configurations,
+            urdf_sha256: hex(&Sha256::digest(urdf_xml)),
+        }
+    }
+
+    /// Checks that a chain is this robot's.
+    ///
+    /// # Errors
+    /// Other joints, another tip, or forward kinematics that differ by more than 1 mm or 1 mrad at
+    /// a stored configuration.
+    pub fn check(&self, chain: &Chain) -> Result<(), RobotMismatch> {
+        let found = chain.joint_names();
+        if found != self.joint_names {
+            let (robot, expected) = (self.name.clone(), self.joint_names.clone());
+            return Err(RobotMismatch::Joints { robot, expected, found });
+        }
+        if chain.tip_frame() != self.tip_frame {
+            let (expected, found) = (self.tip_frame.clone(), chain.tip_frame().into());
+            return Err(RobotMismatch::Tip { expected, found });
+        }
+        let pairs = self.configurations.iter().zip(&self.base_from_tip);
+        for (configuration, (q, expected)) in pairs.enumerate() {
+            let (found, expected) = (chain.forward(q), expected.isometry());
+            let position_error_m = (found.translation.vector - expected.translation.vector).norm();
+            let orientation_error_rad = found.rotation.angle_to(&expected.rotation);
+            if position_error_m > MAX_POSITION_ERROR_M
+                || orientation_error_rad > MAX_ORIENTATION_ERROR_RAD
+            {
+                return Err(RobotMismatch::Kinematics {
+                    robot: self.name.clone(),
+                    configuration,
+                    position_error_m,
+                    orientation_error_rad,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl RecordedPose {
+    /// The pose.
+    pub fn isometry(&self) -> Isometry3<f64> {
+        let [x, y, z, w] = self.quaternion_xyzw;
+        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+        let [px, py, pz] = self.position_m;
+        Isometry3::from_parts(Translation3::new(px, py, pz), rotation)
+    }
+}
+
+impl From<Isometry3<f64>> for RecordedPose {
+    fn from(pose: Isometry3<f64>) -> Self {
+        let (p, q) = (pose.translation.vector, pose.rotation);
+        Self { position_m: [p.x, p.y, p.z], quaternion_xyzw: [q.i, q.j, q.k, q.w] }
+    }
+}
+
+/// What stands in the metadata.
+#[derive(Serialize, Deserialize)]
+struct Envelope<D> {
+    kind: String,
+    format_version: u32,
+    tensors_sha256: String,
+    document_sha256: String,
+    document: D,
+}
+
+/// Tensors and a document as the bytes of a safetensors file.
+pub fn encode(tensors: &Weights, kind: &str, document: &impl Serialize) -> Vec<u8> {
+    let text = serde_json::to_string(document).expect("a document is JSON");
+    let envelope = Envelope {
+        kind: kind.into(),
+        format_version: FORMAT_VERSION,
+        tensors_sha256: tensors_digest(tensors),
+        document_sha256: hex(&Sha256::digest(text)),
+        document,
+    };
+    let envelope = serde_json::to_string(&envelope).expect("a document is JSON");
+    let bytes: Vec<_> = tensors.iter().map(|(name, t)| (name, &t.shape, le_bytes(t))).collect();
+    let views = bytes.iter().map(|(name, shape, bytes)| {
+        let view = TensorView::new(Dtype::F32, shape.to_vec(), bytes);
+        (name, view.expect("a tensor has a value for each place"))
+    });
+    serialize(views, Some(HashMap::from([(KEY.to_owned(), envelope)])))
+        .expect("tensors of f32 can be written")
+}
+
+/// The document and the tensors of a file of one kind.
+///
+/// # Errors
+/// Why they are not what was written.
+pub fn decode<D: Serialize + DeserializeOwned>(
+    bytes: &[u8],
+    kind: &'static str,
+) -> Result<(D, Weights), ArtifactError> {
+    let damaged = |detail: String| ArtifactError::Damaged { detail };
+    let foreign = |detail: String| ArtifactError::Foreign { expected: kind, detail };
+    let safetensors = |e: safetensors::SafeTensorError| damaged(e.to_string());
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(safetensors)?;
+    let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY));
+    let text = text.ok_or_else(|| foreign(format!("its metadata has no {KEY:?}")))?;
+
+    // Kind and version come first: a newer version may have another document.
+    #[derive(Deserialize)]
+    struct Kind {
+        kind: String,
+        format_version: u32,
+    }
+    let found: Kind = serde_json::from_str(text).map_err(|e| foreign(e.to_string()))?;
+    if found.kind != kind {
+        return Err(foreign(format!("it is a {}", found.kind)));
+    }
+    if found.format_version > FORMAT_VERSION {
+        return Err(ArtifactError::Version { found: found.format_version });
+    }
+    let Envelope { tensors_sha256, document_sha256, document, .. } =
+        serde_json::from_str::<Envelope<D>>(text)
+            .map_err(|e| ArtifactError::Document { detail: e.to_string() })?;
+
+    let mut tensors = Weights::new();
+    for (name, view) in SafeTensors::deserialize(bytes).map_err(safetensors)?.tensors() {
+        if view.dtype() != Dtype::F32 {
+            return Err(damaged(format!("the tensor {name} is {:?}, not F32", view.dtype())));
+        }
+        let value = |b: &[u8]| f32::from_le_bytes(b.try_into().expect("four bytes"));
+        let values = view.data().chunks_exact(4).map(value).collect();
+        tensors.insert(name, NamedTensor { shape: view.shape().to_vec(), values });
+    }
+    let text = serde_json::to_string(&document).expect("a document is JSON");
+    for (part, found, expected) in [
+        ("tensors", tensors_digest(&tensors), tensors_sha256),
+        ("metadata", hex(&Sha256::digest(text)), document_sha256),
+    ] {
+        if found != expected {
+            return Err(ArtifactError::Digest { part, found, expected });
+        }
+    }
+    Ok((document, tensors))
+}
+
+/// Reads a whole file.
+///
+/// # Errors
+/// What the operating system refused; a file that is larger than any model.
+pub fn read(path: &Path) -> Result<Vec<u8>, ArtifactError> {
+    let io = |source| ArtifactError::Io { action: "cannot read", path: path.into(), source };
+    let file = File::open(path).map_err(io)?;
+    let bytes = file.metadata().map_err(io)?.len();
+    if bytes > MAX_BYTES {
+        return Err(ArtifactError::TooLarge { bytes });
+    }
+    let mut content = Vec::new();
+    file.take(MAX_BYTES).read_to_end(&mut content).map_err(io)?;
+    Ok(content)
+}
+
+/// Writes a whole file: beside its place first, then renamed, readable by all.
+///
+/// # Errors
+/// What the operating system refused.
+pub fn write(path: &Path, content: &[u8]) -> Result<(), ArtifactError> {
+    let io = |source| ArtifactError::Io { action: "cannot write", path: path.into(), source };
+    let mut file = tempfile::NamedTempFile::new_in(folder_of(path)).map_err(io)?;
+    file.write_all(content).map_err(io)?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        file.as_file().set_permissions(fs::Permissions::from_mode(0o644)).map_err(io)?;
+    }
+    file.as_file().sync_all().map_err(io)?;
+    file.persist(path).map_err(|e| io(e.error))?;
+    Ok(())
+}
+
+/// The folder that a file lies in.
+pub fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// SHA-256 over names, shapes and values, in the order of the names.
+fn tensors_digest(tensors: &Weights) -> String {
+    let mut digest = Sha256::new();
+    for (name, tensor) in tensors {
+        digest.update(format!("{name} {:?}\n", tensor.shape));
+        digest.update(le_bytes(tensor));
+    }
+    hex(&digest.finalize())
+}
+
+fn le_bytes(tensor: &NamedTensor) -> Vec<u8> {
+    tensor.values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demonstrations::arcs::{ArcStart, ArcsTask};
+    use crate::model::{Layout, NetworkConfig};
+    use crate::urdf;
+
+    const URDF: &str = include_str!("../config/baxter.urdf");
+
+    fn artifact() -> Artifact {
+        let network = NetworkConfig { width: 4, ..NetworkConfig::default() };
+        let model = ModelConfig { steps: 6, state_dim: 2, task_dim: 2, network };
+        let layout = Layout::of_model(&model);
+        let values = layout.initial(&mut ChaCha8Rng::seed_from_u64(1));
+        let statistics = LatentStatistics { mean: 0.1, stddev: 0.9, variance: 0.2, kl: 1.3 };
+        let document = ModelDocument {
+            training: TrainingConfig::default(),
+            last_epoch: None,
+            git_revision: "0123abc".into(),
+            data_digest: "00".into(),
+            data_source: DataSource::Synthetic,
+            training_demonstrations: 2,
+            task_space: ArcsTask::task_space(),
+            manner_space: MannerSpace::unnamed(model.network.latents, 3.0),
+            latents: vec![statistics; model.network.latents],
+            state_names: vec!["x".into(), "y".into()],
+            duration_secs: 1.0,
+            normalizer: Normalizer {
+                state_offset: vec![0.1, 1.0 / 3.0],
+                state_scale: vec![0.3, 0.7],
+                task_offset: vec![0.5; 2],
+                task_scale: vec![0.29; 2],
+            },
+            state_reference_xyzw: None,
+            task: TaskConfig::Arcs(ArcsTask::new(ArcStart::Half)),
+            robot: None,
+            evaluation: None,
+            model,
+        };
+        let tasks = [vec![0.25, 0.5], vec![0.75, 0.125]];
+        Artifact::new(document, layout.to_weights(&values), &tasks).unwrap()
+    }
+
+    fn chain() -> Chain {
+        urdf::chain(URDF, "base", "left_gripper").unwrap()
+    }
+
+    #[test]
+    fn a_saved_model_is_the_model_that_is_loaded() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.safetensors");
+        let artifact = artifact();
+        artifact.save(&path).unwrap();
+        let loaded = Artifact::load(&path).unwrap();
+        assert_eq!(loaded, artifact);
+        assert_eq!(loaded.to_bytes(), artifact.to_bytes());
+        assert_eq!(loaded.training_tasks().nth(1).unwrap(), [0.75, 0.125]);
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o644);
+        }
+    }
+
+    #[test]
+    fn every_truncation_is_refused() {
+        let bytes = artifact().to_bytes();
+        for end in [0, 1, 7, 8, 100, bytes.len() / 2, bytes.len() - 1] {
+            let error = Artifact::from_bytes(&bytes[..end]).unwrap_err();
+            assert!(matches!(error, ArtifactError::Damaged { .. }), "{end}: {error}");
+        }
+    }
+
+    #[test]
+    fn every_changed_byte_of_the_tensors_is_refused() {
+        let bytes = artifact().to_bytes();
+        for back in [1, 2, 333, 1000] {
+            let mut edited = bytes.clone();
+            edited[bytes.len() - back] ^= 0x10;
+            let error = Artifact::from_bytes(&edited).unwrap_err();
+            assert!(matches!(error, ArtifactError::Digest { part: "tensors", .. }), "{error}");
+        }
+    }
+
+    /// The bytes with one piece of the metadata replaced by another of the same length.
+    fn edited(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+        assert_eq!(from.len(), to.len());
+        let (from, to) = (from.replace('"', "\\\""), to.replace('"', "\\\""));
+        let place = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+        let mut edited = bytes.to_vec();
+        edited[place..place + to.len()].copy_from_slice(to.as_bytes());
+        edited
+    }
+
+    #[test]
+    fn edited_metadata_is_refused() {
+        let bytes =
+            edited(&artifact().to_bytes(), r#""duration_secs":1.0"#, r#""duration_secs":1.5"#);
+        let error = Artifact::from_bytes(&bytes).unwrap_err();
+        assert!(matches!(error, ArtifactError::Digest { part: "metadata", .. }), "{error}");
+    }
+
+    #[test]
+    fn a_newer_format_is_refused_with_both_versions() {
+        let bytes =
+            edited(&artifact().to_bytes(), r#""format_version":1"#, r#""format_version":9"#);
+        assert_eq!(
+            Artifact::from_bytes(&bytes).unwrap_err().to_string(),
+            "the file has format version 9; this program reads versions up to 1; update it"
+        );
+    }
+
+    #[test]
+    fn another_programs_safetensors_file_is_refused() {
+        let bytes = serialize(Vec::<(String, TensorView<'_>)>::new(), None).unwrap();
+        let error = Artifact::from_bytes(&bytes).unwrap_err();
+        assert!(matches!(error, ArtifactError::Foreign { .. }), "{error}");
+        let checkpoint = encode(&Weights::new(), "checkpoint", &1);
+        assert_eq!(
+            Artifact::from_bytes(&checkpoint).unwrap_err().to_string(),
+            "the file is no model of this program: it is a checkpoint"
+        );
+    }
+
+    #[test]
+    fn parts_that_do_not_fit_are_refused_when_a_model_is_made() {
+        let Artifact { document, tensors } = artifact();
+        let mut missing = tensors.clone();
+        missing.remove("decoder.layers.1.weight");
+        let error = Artifact::new(document.clone(), missing, &[]).unwrap_err();
+        assert!(error.to_string().contains("decoder.layers.1.weight is missing"), "{error}");
+        let document = ModelDocument { state_names: vec!["x".into()], ..document };
+        assert!(Artifact::new(document, tensors, &[]).is_err());
+    }
+
+    #[test]
+    fn what_could_not_be_read_back_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.safetensors");
+        let mut artifact = artifact();
+        artifact.document.latents[0].kl = f64::NAN;
+        assert!(matches!(artifact.save(&path), Err(ArtifactError::Document { .. })));
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn the_id_is_that_of_the_tensors() {
+        let mut artifact = artifact();
+        let id = artifact.model_id();
+        artifact.document.duration_secs = 2.0;
+        assert_eq!(artifact.model_id(), id);
+        artifact.tensors.get_mut("decoder.mean.output.bias").unwrap().values[0] += 1.0;
+        assert_ne!(artifact.model_id(), id);
+    }
+
+    #[test]
+    fn a_robot_knows_its_own_description_and_no_other() {
+        let record = RobotRecord::new("baxter", &chain(), URDF);
+        record.check(&chain()).unwrap();
+
+        let right = urdf::chain(URDF, "base", "right_gripper").unwrap();
+        assert!(matches!(record.check(&right), Err(RobotMismatch::Joints { .. })));
+
+        let mut wrist = record.clone();
+        wrist.tip_frame = "left_hand".into();
+        assert!(matches!(wrist.check(&chain()), Err(RobotMismatch::Tip { .. })));
+
+        let mut moved = record.clone();
+        moved.base_from_tip[3].position_m[2] += 0.0009;
+        moved.check(&chain()).unwrap();
+        moved.base_from_tip[3].position_m[2] += 0.0002;
+        let error = moved.check(&chain()).unwrap_err();
+        assert!(matches!(error, RobotMismatch::Kinematics { configuration: 3, .. }), "{error}");
+    }
+}

@@ -20,7 +20,7 @@
 //! | [`model`] | the TC-VAE: its networks, its objective, and its packed decoder |
 //! | [`demonstrations`] | tasks, what they measure, and the demonstrations of them |
 //! | [`evaluation`] | SUCCESS, ROBUSTNESS, leak, validity |
-//! | `training` | the alternating optimisation (feature `train`) |
+//! | [`training`] | the alternating optimisation (feature `train`) |
 //! | [`serving`] | the state and the rules of the node, without any I/O |
 //!
 //! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], `bag`, [`mime`], `ros`
@@ -42,7 +42,6 @@ pub mod demonstrations;
 
 pub mod evaluation;
 
-#[cfg(feature = "train")]
 pub mod training;
 
 pub mod serving;

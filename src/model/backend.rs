@@ -1,6 +1,5 @@
 //! The devices that Burn computes on.
 
-use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
 /// Burn's CPU backends. Both compute the same; `flex` is several times faster.
@@ -10,8 +9,7 @@ pub enum Backend {
     /// Burn's present CPU backend.
     #[default]
     Flex,
-    /// Burn's older CPU backend on the `ndarray` crate.
-    #[cfg(feature = "ndarray")]
+    /// Burn's older CPU backend on the `ndarray` crate; only in builds with the feature.
     NdArray,
 }
 
@@ -28,6 +26,7 @@ pub struct UnknownBackend {
 impl Backend {
     /// The backends of this build.
     pub const ALL: &[Self] = &[
+        #[cfg(feature = "train")]
         Self::Flex,
         #[cfg(feature = "ndarray")]
         Self::NdArray,
@@ -37,21 +36,26 @@ impl Backend {
     pub fn name(self) -> &'static str {
         match self {
             Self::Flex => "flex",
-            #[cfg(feature = "ndarray")]
             Self::NdArray => "ndarray",
         }
     }
 
     /// The device without gradients.
+    ///
+    /// # Panics
+    /// When this build does not have the backend.
+    #[cfg(feature = "train")]
     #[cfg_attr(
         feature = "ndarray",
-        expect(deprecated, reason = "selectable still: docs/decisions has the reason")
+        expect(deprecated, reason = "selectable still: docs/decisions says why")
     )]
-    pub(crate) fn device(self) -> Device {
+    pub(crate) fn device(self) -> burn::tensor::Device {
         match self {
-            Self::Flex => Device::flex(),
+            Self::Flex => burn::tensor::Device::flex(),
             #[cfg(feature = "ndarray")]
-            Self::NdArray => Device::ndarray(),
+            Self::NdArray => burn::tensor::Device::ndarray(),
+            #[cfg(not(feature = "ndarray"))]
+            Self::NdArray => panic!("this build has no ndarray; Backend::ALL says what it has"),
         }
     }
 }

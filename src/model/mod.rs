@@ -1,7 +1,6 @@
 //! The TC-VAE (sections 3.1-3.3 of the paper): its networks and objective on Burn, and the packed
 //! decoder that serves it without.
 
-#[cfg(feature = "train")]
 mod backend;
 mod config;
 mod kernel;
@@ -16,10 +15,11 @@ mod primitive;
 #[cfg(feature = "train")]
 mod recogniser;
 
-#[cfg(feature = "train")]
 pub use backend::{Backend, UnknownBackend};
 pub use config::{Activation, ConfigError, ModelConfig, NetworkConfig};
 pub use layout::{Layout, ParameterSpec, WeightsError};
+#[cfg(all(test, feature = "train"))]
+pub(crate) use normalizer::tests as normalizer_tests;
 pub use normalizer::{Baseline, Normalizer};
 #[cfg(feature = "train")]
 pub use objective::{Batch, Objective, PartGradients, Strengths, Terms};
@@ -27,6 +27,8 @@ pub use packed::{Decoded, PackedDecoder, Workspace};
 pub use primitive::TcVaePrimitive;
 #[cfg(feature = "train")]
 pub use recogniser::Recogniser;
+#[cfg(feature = "train")]
+pub(crate) use {layout::checked, normalizer::Units, recogniser::time_major};
 
 use std::collections::BTreeMap;
 
