@@ -48,7 +48,8 @@ pub struct FollowOptions {
     /// The configuration to begin near to, such as where the arm is. When its path is complete, it
     /// is taken; otherwise the search goes on as without.
     pub start: Option<Vec<f64>>,
-    /// Start configurations for the first point: the middle of the joints' ranges, then random ones.
+    /// Start configurations for the first point: the middle of the joints' ranges, then random
+    /// ones. At least one is tried.
     pub starts: usize,
     /// Start configurations that are still tried after the first complete path, when none is
     /// comfortable.
@@ -58,7 +59,7 @@ pub struct FollowOptions {
     /// Time in which a joint at its limit goes back towards the middle, as far as the pose leaves it
     /// free (s). Infinity leaves the freedom unused.
     pub centring_secs: f64,
-    /// Largest slowdown that makes a motion legal.
+    /// Largest slowdown that makes a motion legal; counts as the next power of two.
     pub max_slowdown: f64,
 }
 
