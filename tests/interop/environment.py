@@ -2,10 +2,10 @@
 
     python3 tests/interop/environment.py [kilted|jazzy]
 
-`./x test` runs this and prints nothing when the environment is up to date. It needs Python 3.12,
-for which the wheels are made: $PYTHON, python3.12, a pyenv version, or python3 if it is one; and
-a C++ compiler. The last line it prints is the path of the environment's Python. No environment
-variables are needed to use it.
+`./x test` runs this; it does nothing when the environment is up to date. It needs Python 3.12,
+for which the wheels are made ($PYTHON, python3.12, a pyenv version, or python3 if it is one), and
+a C++ compiler. On standard output it prints the path of the environment's Python, which needs no
+environment variables.
 """
 
 import hashlib
@@ -127,10 +127,10 @@ def make(distro):
         if name == "wheels":
             python = python312()
             compiler()
-            print(f"environment: rclpy of {distro} into {venv.name}, about a minute", flush=True)
+            print(f"environment: rclpy of {distro} into {venv.name}, about a minute", file=sys.stderr)
             install(python, venv, requirements)
         else:
-            print(f"environment: building {name} for {distro}, about a minute", flush=True)
+            print(f"environment: building {name} for {distro}, about a minute", file=sys.stderr)
             build(venv, sources[0])
         stamp.write_text(wanted)
     return venv / "bin" / "python"

@@ -1,0 +1,84 @@
+"""Each patch under patches/, seen from rclpy.
+
+The server is tests/interop/server.rs: ros2-client on the patched rustdds and nothing else. Without
+its patch each of these tests fails; the figures are in the patches' headers.
+"""
+
+import statistics
+
+from conftest import wait_until
+from tcvae_msgs.srv import SampleTrajectory
+
+SERVICE = "/dds_probe/points"
+
+
+def start_server(start):
+    server = start("examples/interop_server")
+    server.wait_for("ready")
+    return server
+
+
+def assert_complete(response, points):
+    (sample,) = response.samples
+    trajectory = sample.joint_trajectory
+    assert response.model_id == "dds_probe"
+    assert list(trajectory.joint_names) == [f"joint_{joint}" for joint in range(7)]
+    assert len(trajectory.points) == points
+    for index, point in enumerate(trajectory.points):
+        expected = [index + joint / 8 for joint in range(7)]
+        assert list(point.positions) == expected
+        assert list(point.velocities) == [-value for value in expected]
+        at = point.time_from_start
+        assert at.sec + at.nanosec * 1e-9 == (index + 1) / 8
+
+
+def test_a_reply_of_200_points_arrives(start, client):
+    start_server(start)
+    service = client.service(SampleTrajectory, SERVICE)
+    # One datagram, a few fragments, many.
+    for points in (1, 5, 200):
+        response, _ = client.call(service, SampleTrajectory.Request(count=points))
+        assert_complete(response, points)
+
+
+def test_no_first_call_of_20_fresh_clients_stalls(start, make_client):
+    start_server(start)
+    took = []
+    for number in range(20):
+        client = make_client(f"fresh_{number}")
+        service = client.node.create_client(SampleTrajectory, SERVICE)
+        # As soon as the server is seen, as a C++ client does; rclpy's own wait_for_service looks
+        # every 0.25 s, by when the server has long seen the client too.
+        assert wait_until(service.service_is_ready, 10.0, every=0.0) is not None
+        response, seconds = client.call(service, SampleTrajectory.Request(count=1))
+        assert_complete(response, 1)
+        took.append(round(seconds, 3))
+        client.close()
+    print("first calls, s:", took)
+    assert max(took) < 1.0, took
+
+
+def test_endpoints_are_gone_within_a_second_of_sigint(start, client):
+    server = start_server(start)
+    service = client.service(SampleTrajectory, SERVICE)
+    client.call(service, SampleTrajectory.Request(count=1))
+    assert client.spin_until(lambda: "dds_probe" in client.node.get_node_names(), 5.0) is not None
+    assert server.interrupt() == 0
+
+    def gone():
+        return not service.service_is_ready() and "dds_probe" not in client.node.get_node_names()
+
+    took = client.spin_until(gone, 1.0)
+    assert took is not None, "the server's endpoints are still in the graph after 1 s"
+
+
+def test_a_large_reply_takes_no_repair_rounds(start, client):
+    start_server(start)
+    service = client.service(SampleTrajectory, SERVICE)
+    took = []
+    for _ in range(5):
+        response, seconds = client.call(service, SampleTrajectory.Request(count=2500), 30.0)
+        assert_complete(response, 2500)
+        took.append(round(seconds, 3))
+    print("replies of 2500 points (0.5 MB), s:", took)
+    assert statistics.median(took) < 1.0, took
