@@ -150,7 +150,9 @@ def digest(root):
 
 def inputs(checksum, patches):
     """What the tree is made from, one line each."""
-    named = [f"{hashlib.sha256(p.read_bytes()).hexdigest()} {p.name}" for p in patches]
+    # Without the patches' headers, whose wording changes nothing that is built.
+    diffs = [p.read_text().partition("\n--- a/")[2] for p in patches]
+    named = [f"{hashlib.sha256(d.encode()).hexdigest()} {p.name}" for d, p in zip(diffs, patches)]
     return "\n".join([f"{checksum} {NAME}", *named]) + "\n"
 
 

@@ -72,13 +72,13 @@ def test_endpoints_are_gone_within_a_second_of_sigint(start, client):
     assert took is not None, "the server's endpoints are still in the graph after 1 s"
 
 
-def test_a_large_reply_takes_no_repair_rounds(start, client):
+def test_a_reply_of_a_megabyte_arrives_quickly(start, client):
     start_server(start)
     service = client.service(SampleTrajectory, SERVICE)
     took = []
     for _ in range(5):
-        response, seconds = client.call(service, SampleTrajectory.Request(count=2500), 30.0)
-        assert_complete(response, 2500)
+        response, seconds = client.call(service, SampleTrajectory.Request(count=6300), 30.0)
+        assert_complete(response, 6300)
         took.append(round(seconds, 3))
-    print("replies of 2500 points (0.5 MB), s:", took)
-    assert statistics.median(took) < 1.0, took
+    print("replies of 6300 points (1.3 MB), s:", took)
+    assert statistics.median(took) < 1.5, took
