@@ -20,9 +20,7 @@ use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use rand::rngs::ChaCha8Rng;
-use rand::{RngExt, SeedableRng};
+use nalgebra::{Quaternion, UnitQuaternion};
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::de::DeserializeOwned;
@@ -31,9 +29,11 @@ use sha2::{Digest, Sha256};
 
 use crate::demonstrations::TaskConfig;
 use crate::evaluation::Evaluation;
-use crate::kinematics::Chain;
+use crate::kinematics::RobotRecord;
 use crate::model::{ModelConfig, ModelError, NamedTensor, Normalizer, TcVaePrimitive, Weights};
 use crate::parameters::{MannerSpace, TaskSpace};
+use crate::pose::StateFrame;
+use crate::serving::{Familiarity, ServedModel};
 use crate::training::{EpochReport, LatentStatistics, TrainingConfig};
 
 /// The newest format that this program reads, and the one that it writes.
@@ -43,15 +43,11 @@ pub const FORMAT_VERSION: u32 = 1;
 const KEY: &str = "tcvae";
 /// The tasks that were trained on, `[demonstrations, task_dim]`, in the task's units.
 const TASKS: &str = "training.tasks";
+/// Training tasks that a server compares a task with, at most: finding how far out each of them
+/// lies takes time that grows with the square of their number.
+const MOST_TASKS: usize = 1000;
 /// Larger files are no models of ours.
 const MAX_BYTES: u64 = 256 << 20;
-/// Configurations of the robot at which its forward kinematics are stored.
-const CONFIGURATIONS: usize = 20;
-/// Largest difference of the forward kinematics at which a robot is the model's: 1 mm, 1 mrad.
-const MAX_POSITION_ERROR_M: f64 = 1e-3;
-/// See [`MAX_POSITION_ERROR_M`].
-const MAX_ORIENTATION_ERROR_RAD: f64 = 1e-3;
-
 /// Why a file is not one that can be served.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -114,55 +110,18 @@ pub enum ArtifactError {
         /// What is wrong.
         detail: String,
     },
+    /// A model whose states are no poses of a robot's tip.
+    #[error(
+        "the model's states ({states}) are no poses of a robot's tip, so there is nothing to send \
+         to an arm; tcvae sample prints its states"
+    )]
+    NoRobot {
+        /// Names of the state's values, comma-separated.
+        states: String,
+    },
     /// The parts are not a model.
     #[error(transparent)]
     Model(#[from] ModelError),
-}
-
-/// Why a robot is not the one that a model was made for.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum RobotMismatch {
-    /// Other joints, or another order.
-    #[error(
-        "the model moves the joints {expected:?}; the robot's chain has {found:?}; load the \
-         description of {robot}, or a model for this robot"
-    )]
-    Joints {
-        /// The model's robot.
-        robot: String,
-        /// The model's joints.
-        expected: Vec<String>,
-        /// The chain's joints.
-        found: Vec<String>,
-    },
-    /// Another tip.
-    #[error(
-        "the model moves the frame {expected:?}; the robot's chain ends at {found:?}; set tip_link"
-    )]
-    Tip {
-        /// The model's tip.
-        expected: String,
-        /// The chain's tip.
-        found: String,
-    },
-    /// The same joints put the tip elsewhere.
-    #[error(
-        "at stored configuration {configuration} the robot's tip is {position_error_m:.4} m and \
-         {orientation_error_rad:.4} rad from where {robot} has it; the limits are \
-         {MAX_POSITION_ERROR_M} m and {MAX_ORIENTATION_ERROR_RAD} rad; load the description that \
-         the model was made with"
-    )]
-    Kinematics {
-        /// The model's robot.
-        robot: String,
-        /// The first configuration that differs.
-        configuration: usize,
-        /// Distance of the tips.
-        position_error_m: f64,
-        /// Angle between them.
-        orientation_error_rad: f64,
-    },
 }
 
 /// Where demonstrations came from.
@@ -173,36 +132,6 @@ pub enum DataSource {
     Synthetic,
     /// Recorded on a robot.
     Recorded,
-}
-
-/// A pose as numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RecordedPose {
-    /// Position (m).
-    pub position_m: [f64; 3],
-    /// Orientation as a unit quaternion (x, y, z, w).
-    pub quaternion_xyzw: [f64; 4],
-}
-
-/// The robot that a model was made for, and how to tell it from others.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RobotRecord {
-    /// Name, such as `baxter`.
-    pub name: String,
-    /// The frame of the poses.
-    pub base_frame: String,
-    /// The frame that moves.
-    pub tip_frame: String,
-    /// The joints in their order.
-    pub joint_names: Vec<String>,
-    /// Joint positions inside the limits.
-    pub configurations: Vec<Vec<f64>>,
-    /// The tip in the base frame at each of them.
-    pub base_from_tip: Vec<RecordedPose>,
-    /// SHA-256 over the URDF, for provenance; another file with the same kinematics will do.
-    pub urdf_sha256: String,
 }
 
 /// All that a model file says beside its tensors.
@@ -315,6 +244,34 @@ impl Artifact {
         self.build().expect("checked when it was made")
     }
 
+    /// The model as a server serves it, on the robot that it was made for.
+    ///
+    /// # Errors
+    /// A model without a robot.
+    pub fn served_model(&self) -> Result<ServedModel, ArtifactError> {
+        let document = &self.document;
+        let (Some(robot), Some([x, y, z, w])) = (&document.robot, document.state_reference_xyzw)
+        else {
+            return Err(ArtifactError::NoRobot { states: document.state_names.join(", ") });
+        };
+        let reference = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+        let primitive = self.primitive();
+        let tasks = self.training_tasks().step_by(self.training_tasks().len() / MOST_TASKS + 1);
+        let tasks = tasks.map(|w| w.iter().map(|v| f64::from(*v)).collect()).collect();
+        Ok(ServedModel {
+            model_id: self.model_id(),
+            task: document.task.clone().into_task(),
+            frame: StateFrame { reference },
+            duration_secs: document.duration_secs,
+            robot: robot.clone(),
+            evaluation_json: serde_json::to_string(&document.evaluation)
+                .expect("an evaluation is JSON"),
+            synthetic_data: document.data_source == DataSource::Synthetic,
+            familiarity: Familiarity::new(tasks, &primitive),
+            primitive: Box::new(primitive),
+        })
+    }
+
     /// The weights.
     pub fn weights(&self) -> &Weights {
         &self.tensors
@@ -364,78 +321,6 @@ impl Artifact {
             }
             None => document(format!("the tensor {TASKS} is missing")),
         }
-    }
-}
-
-impl RobotRecord {
-    /// The record of the robot whose chain this is. The configurations are always the same for the
-    /// same limits.
-    pub fn new(name: &str, chain: &Chain, urdf_xml: &str) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(0);
-        let configuration = |_| -> Vec<f64> {
-            chain.joints().iter().map(|j| rng.random_range(j.lower..=j.upper)).collect()
-        };
-        let configurations: Vec<_> = (0..CONFIGURATIONS).map(configuration).collect();
-        Self {
-            name: name.into(),
-            base_frame: chain.base_frame().into(),
-            tip_frame: chain.tip_frame().into(),
-            joint_names: chain.joint_names(),
-            base_from_tip: configurations.iter().map(|q| chain.forward(q).into()).collect(),
-            configurations,
-            urdf_sha256: hex(&Sha256::digest(urdf_xml)),
-        }
-    }
-
-    /// Checks that a chain is this robot's.
-    ///
-    /// # Errors
-    /// Other joints, another tip, or forward kinematics that differ by more than 1 mm or 1 mrad at
-    /// a stored configuration.
-    pub fn check(&self, chain: &Chain) -> Result<(), RobotMismatch> {
-        let found = chain.joint_names();
-        if found != self.joint_names {
-            let (robot, expected) = (self.name.clone(), self.joint_names.clone());
-            return Err(RobotMismatch::Joints { robot, expected, found });
-        }
-        if chain.tip_frame() != self.tip_frame {
-            let (expected, found) = (self.tip_frame.clone(), chain.tip_frame().into());
-            return Err(RobotMismatch::Tip { expected, found });
-        }
-        let pairs = self.configurations.iter().zip(&self.base_from_tip);
-        for (configuration, (q, expected)) in pairs.enumerate() {
-            let (found, expected) = (chain.forward(q), expected.isometry());
-            let position_error_m = (found.translation.vector - expected.translation.vector).norm();
-            let orientation_error_rad = found.rotation.angle_to(&expected.rotation);
-            if position_error_m > MAX_POSITION_ERROR_M
-                || orientation_error_rad > MAX_ORIENTATION_ERROR_RAD
-            {
-                return Err(RobotMismatch::Kinematics {
-                    robot: self.name.clone(),
-                    configuration,
-                    position_error_m,
-                    orientation_error_rad,
-                });
-            }
-        }
-        Ok(())
-    }
-}
-
-impl RecordedPose {
-    /// The pose.
-    pub fn isometry(&self) -> Isometry3<f64> {
-        let [x, y, z, w] = self.quaternion_xyzw;
-        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-        let [px, py, pz] = self.position_m;
-        Isometry3::from_parts(Translation3::new(px, py, pz), rotation)
-    }
-}
-
-impl From<Isometry3<f64>> for RecordedPose {
-    fn from(pose: Isometry3<f64>) -> Self {
-        let (p, q) = (pose.translation.vector, pose.rotation);
-        Self { position_m: [p.x, p.y, p.z], quaternion_xyzw: [q.i, q.j, q.k, q.w] }
     }
 }
 
@@ -587,12 +472,12 @@ fn hex(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+    use rand::rngs::ChaCha8Rng;
+
     use super::*;
     use crate::demonstrations::arcs::{ArcStart, ArcsTask};
     use crate::model::{Layout, NetworkConfig};
-    use crate::urdf;
-
-    const URDF: &str = include_str!("../config/baxter.urdf");
 
     fn artifact() -> Artifact {
         let network = NetworkConfig { width: 4, ..NetworkConfig::default() };
@@ -626,10 +511,6 @@ mod tests {
         };
         let tasks = [vec![0.25, 0.5], vec![0.75, 0.125]];
         Artifact::new(document, layout.to_weights(&values), &tasks).unwrap()
-    }
-
-    fn chain() -> Chain {
-        urdf::chain(URDF, "base", "left_gripper").unwrap()
     }
 
     #[test]
@@ -738,25 +619,5 @@ mod tests {
         assert_eq!(artifact.model_id(), id);
         artifact.tensors.get_mut("decoder.mean.output.bias").unwrap().values[0] += 1.0;
         assert_ne!(artifact.model_id(), id);
-    }
-
-    #[test]
-    fn a_robot_knows_its_own_description_and_no_other() {
-        let record = RobotRecord::new("baxter", &chain(), URDF);
-        record.check(&chain()).unwrap();
-
-        let right = urdf::chain(URDF, "base", "right_gripper").unwrap();
-        assert!(matches!(record.check(&right), Err(RobotMismatch::Joints { .. })));
-
-        let mut wrist = record.clone();
-        wrist.tip_frame = "left_hand".into();
-        assert!(matches!(wrist.check(&chain()), Err(RobotMismatch::Tip { .. })));
-
-        let mut moved = record.clone();
-        moved.base_from_tip[3].position_m[2] += 0.0009;
-        moved.check(&chain()).unwrap();
-        moved.base_from_tip[3].position_m[2] += 0.0002;
-        let error = moved.check(&chain()).unwrap_err();
-        assert!(matches!(error, RobotMismatch::Kinematics { configuration: 3, .. }), "{error}");
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use serde::Deserialize;
-use tcvae::kinematics::{Chain, Joint, inverse};
+use tcvae::kinematics::{Chain, Joint, RecordMismatch, RobotRecord, inverse};
 use tcvae::pose::mirrored;
 use tcvae::urdf;
 
@@ -216,4 +216,30 @@ fn a_pose_out_of_reach_is_refused_with_the_distance() {
     let furthest = target.translation.vector.norm() - 1.6;
     assert!(error.nearest.position_error_m > furthest, "{error}");
     assert!(error.to_string().contains("cm"), "{error}");
+}
+
+#[test]
+fn a_record_of_an_arm_knows_its_own_description_and_no_other() {
+    let chain = |xml, tip| urdf::chain(xml, "base", tip).unwrap();
+    let arm = chain(BAXTER, "left_gripper");
+    let record = RobotRecord::new("baxter", &arm, String::new());
+    assert!(record.configurations.iter().all(|q| arm.within_limits(q)));
+    assert_eq!(record.check(&arm), Ok(()));
+    assert_eq!(record.check(&chain(QUIRKS, "left_gripper")), Ok(()));
+
+    let right = record.check(&chain(BAXTER, "right_gripper"));
+    assert!(matches!(right, Err(RecordMismatch::Joints { .. })), "{right:?}");
+    // The hand is 25 mm before the gripper.
+    let hand = record.check(&chain(BAXTER, "left_hand"));
+    assert!(matches!(hand, Err(RecordMismatch::Tip { configuration: 0, .. })), "{hand:?}");
+
+    let mut moved = record.clone();
+    moved.base_from_tip[3][2] += 0.0009;
+    assert_eq!(moved.check(&arm), Ok(()));
+    moved.base_from_tip[3][2] += 0.0002;
+    let error = moved.check(&arm);
+    assert!(matches!(error, Err(RecordMismatch::Tip { configuration: 3, .. })), "{error:?}");
+
+    moved.base_from_tip.truncate(7);
+    assert!(matches!(moved.check(&arm), Err(RecordMismatch::Damaged { poses: 7, .. })));
 }

@@ -112,7 +112,7 @@ fn model(offset_m: f64) -> ServedModel {
         primitive: Box::new(primitive),
         task: Box::new(task),
         duration_secs: 8.0,
-        robot: RobotRecord::new("baxter", &baxter(), String::new(), &mut rng),
+        robot: RobotRecord::new("baxter", &baxter(), String::new()),
         evaluation_json: "null".into(),
         synthetic_data: true,
         familiarity,

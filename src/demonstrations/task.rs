@@ -88,6 +88,14 @@ impl TaskConfig {
         }
     }
 
+    /// The task that measures motions, on its own.
+    pub fn into_task(self) -> Box<dyn Task> {
+        match self {
+            Self::Arcs(task) => Box::new(task),
+            Self::Pouring(task) => Box::new(task),
+        }
+    }
+
     /// Distances from the task at which success and robustness are reported: the paper's, in the
     /// task space's unit.
     pub fn thresholds(&self) -> [f64; 3] {

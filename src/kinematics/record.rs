@@ -2,7 +2,8 @@
 //! served on another description only if that one moves the same.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use rand::{Rng, RngExt};
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::{Chain, Joint};
@@ -74,9 +75,10 @@ pub enum RecordMismatch {
 }
 
 impl RobotRecord {
-    /// The record of an arm, with configurations drawn from inside its limits (a turn either way
-    /// for joints without).
-    pub fn new(name: &str, chain: &Chain, urdf_sha256: String, rng: &mut impl Rng) -> Self {
+    /// The record of an arm, with configurations inside its limits (half a turn either way for
+    /// joints without), always the same ones for the same limits.
+    pub fn new(name: &str, chain: &Chain, urdf_sha256: String) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
         let mut draw =
             |joint: &Joint| rng.random_range(joint.lower.max(-TURN)..=joint.upper.min(TURN));
         let configurations: Vec<Vec<f64>> =
