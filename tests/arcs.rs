@@ -101,3 +101,20 @@ fn wrong_usage_is_told_with_exit_code_2_and_writes_nothing() {
         assert!(!folder.path().join("new").exists());
     }
 }
+
+#[test]
+fn what_cannot_be_evaluated_is_bad_data_with_exit_code_3_and_still_an_answer() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("model.safetensors"), "not a model").unwrap();
+    for (model, reason) in
+        [("none.safetensors", "none.safetensors: "), ("model.safetensors", "model.safetensors: ")]
+    {
+        let args = ["evaluate", model, "--data", "data", "--json"];
+        let output = tcvae(&args, folder.path());
+        assert_eq!(output.status.code(), Some(3));
+        let answer: Value = serde_json::from_str(&stdout(&output)).unwrap();
+        let message = answer["error_message"].as_str().unwrap();
+        assert!(message.contains(reason), "{message}");
+        assert!(stderr(&output).contains(message));
+    }
+}

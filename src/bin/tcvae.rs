@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, print_json, simulate};
+use verbs::{ExitStatus, evaluate, print_json, simulate};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -26,18 +26,22 @@ struct Cli {
 enum Verb {
     /// Write simulated demonstrations into a folder
     Simulate(simulate::SimulateArgs),
+    /// Measure a model on data that it was not trained on
+    Evaluate(evaluate::EvaluateArgs),
 }
 
 impl Verb {
     fn json(&self) -> bool {
         match self {
             Self::Simulate(args) => args.json,
+            Self::Evaluate(args) => args.json,
         }
     }
 
     fn run(self) -> anyhow::Result<ExitStatus> {
         match self {
             Self::Simulate(args) => simulate::run(args),
+            Self::Evaluate(args) => evaluate::run(args),
         }
     }
 }

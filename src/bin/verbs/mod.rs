@@ -1,5 +1,6 @@
 //! The program's verbs, one module each, and what they share.
 
+pub(crate) mod evaluate;
 pub(crate) mod simulate;
 
 use std::io::{self, Write};

@@ -1,0 +1,153 @@
+//! `tcvae evaluate`: both of the paper's metrics, and beside them what tells whether they mean
+//! anything.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+
+use tcvae::artifact::{Artifact, ModelDocument};
+use tcvae::dataset;
+use tcvae::demonstrations::Splits;
+use tcvae::evaluation::{self, Evaluation, EvaluationOptions, Score};
+use tcvae::model::{Backend, Recogniser};
+
+use super::{ExitStatus, print_json, print_line};
+
+/// Arguments of `tcvae evaluate`.
+#[derive(Debug, Args)]
+pub(crate) struct EvaluateArgs {
+    /// Model file
+    model: PathBuf,
+    /// Folder with the data, such as `tcvae simulate` writes
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Seed of every random draw of the evaluation
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print the answer as JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+pub(crate) fn run(args: EvaluateArgs) -> anyhow::Result<ExitStatus> {
+    let EvaluateArgs { model, data, seed, json } = args;
+    let artifact = Artifact::load(&model).with_context(|| model.display().to_string())?;
+    let data = dataset::load(&data)?;
+    let (of_model, of_data) = (artifact.document.task.task().name(), data.task.task().name());
+    ensure!(
+        of_model == of_data,
+        "{} is a model of {of_model} and the data is of {of_data}; evaluate it on {of_model}",
+        model.display()
+    );
+    let evaluation = measure(&artifact, &data.splits, data.digest, seed)?;
+    if json {
+        print_json(&evaluation);
+    } else {
+        let ModelDocument { model, task_space, .. } = &artifact.document;
+        print_line(&table(&evaluation, model.network.latents, &task_space.unit));
+    }
+    Ok(ExitStatus::Done)
+}
+
+/// Measures a model by its own task at its task's thresholds.
+pub(crate) fn measure(
+    artifact: &Artifact,
+    splits: &Splits,
+    data_digest: String,
+    seed: u64,
+) -> anyhow::Result<Evaluation> {
+    let ModelDocument { model, normalizer, task, duration_secs, .. } = &artifact.document;
+    let primitive = artifact.primitive();
+    let recogniser = Recogniser::new(model, normalizer, artifact.weights(), Backend::default())?;
+    let options = EvaluationOptions {
+        thresholds: task.thresholds().to_vec(),
+        duration_secs: *duration_secs,
+        seed,
+        ..EvaluationOptions::default()
+    };
+    let task = task.task();
+    let evaluation = evaluation::evaluate(&primitive, &recogniser, task, splits, &options)?;
+    Ok(Evaluation { model_id: artifact.model_id(), data_digest, ..evaluation })
+}
+
+/// The evaluation as a person reads it: never one of the two metrics without its companions.
+fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
+    let Evaluation {
+        success,
+        robustness,
+        robust_and_valid,
+        active_latents,
+        reconstruction_rmse,
+        leak_r2,
+        swap,
+        cases,
+        seed,
+        model_id,
+        data_digest,
+    } = evaluation;
+    let unit = if unit == "1" { String::new() } else { format!(" {unit}") };
+    let head = |score: &Score| format!("{:<24}", format!("within {}{unit}", score.threshold));
+    let cell = |Score { threshold: _, mean, low, high }: &Score| {
+        format!("{:<24}", format!("{mean:.3} [{low:.3}, {high:.3}]"))
+    };
+    let row = |name: &str, cells: Vec<String>| format!("{name:<22}{}", cells.concat());
+    let scores = |name, scores: &[Score]| row(name, scores.iter().map(cell).collect());
+    let lines = [
+        format!(
+            "model {model_id} on data {}: {cases} test cases, seed {seed}",
+            data_digest.get(..12).unwrap_or(data_digest)
+        ),
+        String::new(),
+        row("", success.iter().map(head).collect()),
+        scores("success", success),
+        scores("robustness", robustness),
+        scores("robust and valid", robust_and_valid),
+        String::new(),
+        format!("{:<22}{active_latents} of {latents}", "active latents"),
+        format!("{:<22}{reconstruction_rmse:.4}", "reconstruction rmse"),
+        format!("{:<22}{leak_r2:.3}", "leak of the task, R2"),
+        format!("{:<22}{swap:.3}", "swap, middle distance"),
+    ];
+    lines.map(|line| line.trim_end().to_owned()).join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_shows_every_measure() {
+        let score =
+            |threshold, mean| Score { threshold, mean, low: mean - 0.01, high: mean + 0.01 };
+        let scores = |mean| vec![score(0.01, mean), score(0.02, mean)];
+        let evaluation = Evaluation {
+            success: scores(0.9),
+            robustness: scores(0.8),
+            robust_and_valid: scores(0.7),
+            active_latents: 2,
+            reconstruction_rmse: 0.01234,
+            leak_r2: 0.05,
+            swap: 0.65,
+            cases: 42,
+            seed: 7,
+            model_id: "0123456789ab".into(),
+            data_digest: "fedcba9876543210".into(),
+        };
+        assert_eq!(
+            table(&evaluation, 4, "m"),
+            "\
+model 0123456789ab on data fedcba987654: 42 test cases, seed 7
+
+                      within 0.01 m           within 0.02 m
+success               0.900 [0.890, 0.910]    0.900 [0.890, 0.910]
+robustness            0.800 [0.790, 0.810]    0.800 [0.790, 0.810]
+robust and valid      0.700 [0.690, 0.710]    0.700 [0.690, 0.710]
+
+active latents        2 of 4
+reconstruction rmse   0.0123
+leak of the task, R2  0.050
+swap, middle distance 0.650"
+        );
+    }
+}
