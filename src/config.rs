@@ -1,6 +1,7 @@
 //! Configuration files: TOML that people write, read into the structs of the core, and what is built
 //! in for those who write none.
 
+use std::fmt::Display;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -56,11 +57,15 @@ pub struct LoadedRobot {
 }
 
 /// The robot of a TOML file such as `config/robots/baxter.toml`; without a file, Baxter's left arm.
+/// `parse` makes a chain of a description, a base and a tip (the `urdf` module has one).
 ///
 /// # Errors
 /// A file that can't be read or understood; a description without the base, the tip, or the arm's
 /// joints between them.
-pub fn robot(path: Option<&Path>) -> Result<LoadedRobot, ConfigError> {
+pub fn robot<E: Display>(
+    path: Option<&Path>,
+    parse: impl Fn(&str, &str, &str) -> Result<Chain, E>,
+) -> Result<LoadedRobot, ConfigError> {
     let config = match path {
         Some(path) => read(path)?,
         None => RobotConfig::default(),
@@ -73,7 +78,7 @@ pub fn robot(path: Option<&Path>) -> Result<LoadedRobot, ConfigError> {
             (read_text(&urdf)?, urdf)
         }
     };
-    let chain = crate::urdf::chain(&urdf, &config.base_frame, &config.tip_link)
+    let chain = parse(&urdf, &config.base_frame, &config.tip_link)
         .map_err(|e| content(&from, &e.to_string()))?;
     if chain.joint_names() != config.arm.joints {
         let detail = format!(
@@ -103,11 +108,12 @@ fn hex(bytes: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::urdf::chain;
 
     #[test]
     fn the_shipped_robot_file_is_the_built_in_robot() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots/baxter.toml");
-        let (file, built_in) = (robot(Some(&path)).unwrap(), robot(None).unwrap());
+        let (file, built_in) = (robot(Some(&path), chain).unwrap(), robot(None, chain).unwrap());
         assert_eq!(file.config, built_in.config);
         assert_eq!(file.chain, built_in.chain);
     }
@@ -116,7 +122,7 @@ mod tests {
     fn an_unknown_key_is_refused_with_its_line() {
         let file = tempfile::NamedTempFile::new().unwrap();
         fs::write(file.path(), "name = \"arm\"\ntip = \"hand\"\n").unwrap();
-        let error = robot(Some(file.path())).unwrap_err().to_string();
+        let error = robot(Some(file.path()), chain).unwrap_err().to_string();
         assert!(error.contains("line 2") && error.contains("unknown field `tip`"), "{error}");
     }
 
@@ -124,7 +130,7 @@ mod tests {
     fn a_description_with_other_joints_than_the_arms_is_refused() {
         let file = tempfile::NamedTempFile::new().unwrap();
         fs::write(file.path(), "tip_link = \"right_gripper\"\n").unwrap();
-        let error = robot(Some(file.path())).unwrap_err().to_string();
+        let error = robot(Some(file.path()), chain).unwrap_err().to_string();
         assert!(error.contains("moves right_s0") && error.contains("as left_s0"), "{error}");
     }
 }

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, evaluate, print_json, simulate};
+use verbs::{ExitStatus, evaluate, print_json, sample, simulate};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -26,6 +26,8 @@ struct Cli {
 enum Verb {
     /// Write simulated demonstrations into a folder
     Simulate(simulate::SimulateArgs),
+    /// Sample checked motions of a model
+    Sample(sample::SampleArgs),
     /// Measure a model on data that it was not trained on
     Evaluate(evaluate::EvaluateArgs),
 }
@@ -34,6 +36,7 @@ impl Verb {
     fn json(&self) -> bool {
         match self {
             Self::Simulate(args) => args.json,
+            Self::Sample(args) => args.json,
             Self::Evaluate(args) => args.json,
         }
     }
@@ -41,6 +44,7 @@ impl Verb {
     fn run(self) -> anyhow::Result<ExitStatus> {
         match self {
             Self::Simulate(args) => simulate::run(args),
+            Self::Sample(args) => sample::run(args),
             Self::Evaluate(args) => evaluate::run(args),
         }
     }

@@ -43,7 +43,8 @@ pub struct PlottedLocation {
 }
 
 /// The path of motions from above, with the task's locations and the circle of the tolerance, and
-/// beside it the tip's tilt from its first orientation over time, with the threshold of a pour.
+/// beside it the tip's tilt from its first orientation over time, with the threshold of a pour where
+/// the task has one.
 ///
 /// # Errors
 /// What the drawing library reports.
@@ -52,7 +53,7 @@ pub fn motions_svg(
     motions: &[PlottedMotion],
     locations: &[PlottedLocation],
     tolerance_m: f64,
-    tilt_threshold_deg: f64,
+    tilt_threshold_deg: Option<f64>,
 ) -> Result<String, PlotError> {
     let mut svg = String::new();
     {
@@ -124,12 +125,12 @@ fn draw_path<DB: DrawingBackend>(
 fn draw_tilt<DB: DrawingBackend>(
     area: &DrawingArea<DB, plotters::coord::Shift>,
     motions: &[PlottedMotion],
-    threshold_deg: f64,
+    threshold_deg: Option<f64>,
 ) -> Result<(), PlotError> {
     let last = motions.iter().filter_map(|m| m.times_secs.last());
     let duration = last.fold(1.0_f64, |a, b| a.max(*b));
     let tilts: Vec<Vec<(f64, f64)>> = motions.iter().map(tilt_over_time).collect();
-    let highest = tilts.iter().flatten().fold(threshold_deg, |a, p| a.max(p.1));
+    let highest = tilts.iter().flatten().fold(threshold_deg.unwrap_or(10.0), |a, p| a.max(p.1));
     let mut chart = ChartBuilder::on(area)
         .margin(10)
         .x_label_area_size(36)
@@ -143,11 +144,13 @@ fn draw_tilt<DB: DrawingBackend>(
         .light_line_style(TRANSPARENT)
         .draw()
         .map_err(failed)?;
-    let line = [(0.0, threshold_deg), (duration, threshold_deg)];
-    chart.draw_series(DashedLineSeries::new(line, 6, 4, BLACK.into())).map_err(failed)?;
-    let label = format!("pouring: above {threshold_deg:.0}°");
-    let at = (0.01 * duration, threshold_deg + 0.05 * highest);
-    chart.draw_series([Text::new(label, at, ("sans-serif", 13))]).map_err(failed)?;
+    if let Some(threshold) = threshold_deg {
+        let line = [(0.0, threshold), (duration, threshold)];
+        chart.draw_series(DashedLineSeries::new(line, 6, 4, BLACK.into())).map_err(failed)?;
+        let label = format!("pouring: above {threshold:.0}°");
+        let at = (0.01 * duration, threshold + 0.05 * highest);
+        chart.draw_series([Text::new(label, at, ("sans-serif", 13))]).map_err(failed)?;
+    }
     for (i, points) in tilts.into_iter().enumerate() {
         chart.draw_series(LineSeries::new(points, colour(i).stroke_width(2))).map_err(failed)?;
     }
@@ -189,7 +192,7 @@ mod tests {
             base_from_tip: (0..=20).map(pose).collect(),
         };
         let location = PlottedLocation { name: "pour_location".into(), xy: [0.6, 0.3] };
-        let svg = motions_svg("a pour", &[motion], &[location], 0.02, 70.0).unwrap();
+        let svg = motions_svg("a pour", &[motion], &[location], 0.02, Some(70.0)).unwrap();
         for text in ["a pour", "pour_location", "time (s)", "pouring: above 70°"] {
             assert!(svg.contains(text), "{text:?} is missing");
         }

@@ -1,11 +1,18 @@
 //! The program's verbs, one module each, and what they share.
 
 pub(crate) mod evaluate;
+pub(crate) mod sample;
 pub(crate) mod simulate;
 
 use std::io::{self, Write};
+use std::path::Path;
+use std::sync::Arc;
 
 use serde::Serialize;
+
+use tcvae::artifact::Artifact;
+use tcvae::serving::{self, PrimitiveServer, Robot};
+use tcvae::{config, urdf};
 
 /// How a verb ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,7 +20,6 @@ pub(crate) enum ExitStatus {
     /// All that was asked for is done.
     Done = 0,
     /// It is done, and the result is below what was asked.
-    #[expect(dead_code, reason = "the verbs so far ask for no result")]
     BelowAsked = 1,
     /// The command can't be carried out as it was given.
     WrongUsage = 2,
@@ -42,6 +48,18 @@ pub(crate) fn print_line(line: &str) {
 pub(crate) fn print_json(answer: &impl Serialize) {
     let text = serde_json::to_string_pretty(answer).expect("an answer is JSON");
     print_line(&text);
+}
+
+/// A server of a model on the robot of a TOML file, or on Baxter's left arm.
+pub(crate) fn server(
+    artifact: &Artifact,
+    robot: Option<&Path>,
+    settings: serving::Settings,
+) -> anyhow::Result<PrimitiveServer> {
+    let robot = config::robot(robot, urdf::chain)?;
+    let robot = Robot { name: robot.config.name, chain: robot.chain };
+    let model = Arc::new(artifact.served_model()?);
+    Ok(PrimitiveServer::new(model, Arc::new(robot), settings)?)
 }
 
 /// `--set KEY=VALUE` settings, looked up by name; what nobody looked up is refused in the end.
