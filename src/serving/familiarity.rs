@@ -33,6 +33,11 @@ impl Familiarity {
         self.tasks.share_further_out(w)
     }
 
+    /// The training task that lies least far out: one to try a model with. None without tasks.
+    pub fn most_typical_task(&self) -> Option<&[f64]> {
+        self.tasks.most_typical()
+    }
+
     /// Share of the prior that lies at least as far out as `h`.
     pub fn manner(&self, h: &[f64]) -> f64 {
         self.manner.share_further_out(h)
@@ -43,6 +48,8 @@ impl Familiarity {
 #[derive(Debug, Clone)]
 struct TaskFamiliarity {
     tasks: Vec<Vec<f64>>,
+    /// Place of the task that lies least far out.
+    most_typical: usize,
     /// Distance of each training task to its k-th nearest other, ascending.
     distances: Vec<f64>,
 }
@@ -50,13 +57,19 @@ struct TaskFamiliarity {
 impl TaskFamiliarity {
     fn new(tasks: Vec<Vec<f64>>) -> Self {
         let others = |i: usize| tasks.iter().enumerate().filter(move |(j, _)| *j != i);
-        let distances = (0..tasks.len())
+        let distances: Vec<_> = (0..tasks.len())
             .map(|i| kth_distance(&tasks[i], others(i).map(|(_, w)| w.as_slice())))
             .collect();
-        Self { tasks, distances: sorted(distances) }
+        let by_distance = |a: &usize, b: &usize| distances[*a].total_cmp(&distances[*b]);
+        let most_typical = (0..tasks.len()).min_by(by_distance).unwrap_or_default();
+        Self { tasks, most_typical, distances: sorted(distances) }
     }
 
     /// Share of the training tasks that lie at least as far out as `w`: 1 amid them, 0 outside.
+    fn most_typical(&self) -> Option<&[f64]> {
+        self.tasks.get(self.most_typical).map(Vec::as_slice)
+    }
+
     fn share_further_out(&self, w: &[f64]) -> f64 {
         let distance = kth_distance(w, self.tasks.iter().map(Vec::as_slice));
         share_at_least(&self.distances, distance)
@@ -125,6 +138,15 @@ mod tests {
         let familiarity = TaskFamiliarity::new(grid());
         assert!(familiarity.share_further_out(&[4.1, 4.0]) > 0.9);
         assert_eq!(familiarity.share_further_out(&[14.0, 4.5]), 0.0);
+    }
+
+    #[test]
+    fn the_most_typical_task_is_where_they_lie_densest() {
+        let mut tasks = grid();
+        tasks.extend((0..6).map(|i| vec![20.0 + 0.01 * f64::from(i), 5.0]));
+        let familiarity = TaskFamiliarity::new(tasks);
+        assert!(familiarity.most_typical().unwrap()[0] > 19.0);
+        assert_eq!(TaskFamiliarity::new(Vec::new()).most_typical(), None);
     }
 
     #[test]
