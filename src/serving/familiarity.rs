@@ -65,11 +65,11 @@ impl TaskFamiliarity {
         Self { tasks, most_typical, distances: sorted(distances) }
     }
 
-    /// Share of the training tasks that lie at least as far out as `w`: 1 amid them, 0 outside.
     fn most_typical(&self) -> Option<&[f64]> {
         self.tasks.get(self.most_typical).map(Vec::as_slice)
     }
 
+    /// Share of the training tasks that lie at least as far out as `w`: 1 amid them, 0 outside.
     fn share_further_out(&self, w: &[f64]) -> f64 {
         let distance = kth_distance(w, self.tasks.iter().map(Vec::as_slice));
         share_at_least(&self.distances, distance)
