@@ -175,7 +175,7 @@ def main():
     version, checksum = locked(NAME)
     patches = sorted(HERE.glob("*.patch"))
     expected = inputs(checksum, patches)
-    where = TARGET.relative_to(HERE.parent)
+    where = f"third_party/{NAME}"
     reason = state(expected)
     if reason is None:
         print(f"setup: {where} is up to date ({NAME} {version}, {len(patches)} patches)")

@@ -68,8 +68,9 @@ async fn main() -> anyhow::Result<()> {
         served = serve => served?,
         interrupted = tokio::signal::ctrl_c() => interrupted?,
     }
-    // Nothing may hold the participant any more when the context goes: its end is what tells others.
-    spinner.abort();
+    // The node tells its spinner to stop; when that no longer holds the participant, the context's
+    // end tells the others.
+    drop(node);
     let _ = spinner.await;
     Ok(())
 }
