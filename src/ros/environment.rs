@@ -3,7 +3,7 @@
 
 use ros2_client::ServiceMapping;
 
-/// Largest domain whose ports exist: 7400 + 250 * 232 + 2 * 119 + 11 is the last below 65536.
+/// Largest domain that has ports: those of domain 232 start at 7400 + 250 * 232 = 65400.
 pub const MAX_DOMAIN: u16 = 232;
 
 /// Why the environment is refused.

@@ -3,6 +3,9 @@
 
 pub mod arguments;
 pub mod environment;
+pub mod log;
 pub mod messages;
 pub mod names;
+pub mod parameters;
+pub mod participant;
 pub mod yaml;

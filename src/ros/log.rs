@@ -1,0 +1,134 @@
+//! Log messages: to the terminal in ROS's form, and to `/rosout`.
+//!
+//! The node's own messages go to both; those of the DDS libraries go to the terminal only, and
+//! only errors of them, since rustdds warns of every multicast packet that loopback refuses.
+
+use std::io::Write;
+use std::sync::{Arc, PoisonError, RwLock};
+
+use log::{Level, LevelFilter, Log, Metadata, Record};
+use ros2_client::builtin_interfaces::Time;
+use ros2_client::{Log as LogMessage, Publisher};
+
+use super::arguments::Arguments;
+
+/// Prefix of the targets of the node's own messages.
+const OWN: &str = env!("CARGO_CRATE_NAME");
+
+/// The logger of the process. Clones share its publisher.
+#[derive(Clone)]
+pub struct NodeLog(Arc<Inner>);
+
+struct Inner {
+    terminal: env_logger::Logger,
+    to_terminal: bool,
+    name: String,
+    rosout: RwLock<Option<Publisher<LogMessage>>>,
+}
+
+impl NodeLog {
+    /// Makes this the logger of the process, under the name that [`NodeNames::logger`] gives.
+    ///
+    /// # Errors
+    /// When the process has a logger already.
+    ///
+    /// [`NodeNames::logger`]: super::names::NodeNames::logger
+    pub fn install(name: &str, arguments: &Arguments) -> Result<Self, log::SetLoggerError> {
+        let mut builder = env_logger::Builder::new();
+        builder.filter_level(LevelFilter::Error).filter_module(OWN, LevelFilter::Info);
+        // It warns of every ROS_DISTRO but one, while the wire format is the same since Iron.
+        builder.filter_module("ros2_client::distributions", LevelFilter::Off);
+        for level in &arguments.log_levels {
+            let module = match level.logger.as_deref() {
+                None => OWN,
+                Some(logger) if logger == name => OWN,
+                Some(other) => other,
+            };
+            builder.filter_module(module, level.level);
+        }
+        let own_name = name.to_owned();
+        builder.format(move |out, record| {
+            let level = record.level();
+            let style = out.default_level_style(level);
+            let time = Time::now().to_nanos();
+            let name = if is_own(record.metadata()) { &own_name } else { record.target() };
+            writeln!(
+                out,
+                "{style}[{level}]{style:#} [{}.{:09}] [{name}]: {}",
+                time / 1_000_000_000,
+                time % 1_000_000_000,
+                record.args()
+            )
+        });
+        let inner = Inner {
+            terminal: builder.build(),
+            to_terminal: arguments.terminal,
+            name: name.into(),
+            rosout: RwLock::new(None),
+        };
+        log::set_max_level(inner.terminal.filter());
+        let log = Self(Arc::new(inner));
+        log::set_boxed_logger(Box::new(log.clone()))?;
+        Ok(log)
+    }
+
+    /// Publishes the node's own messages from now on.
+    pub fn attach(&self, rosout: Publisher<LogMessage>) {
+        *self.0.rosout.write().unwrap_or_else(PoisonError::into_inner) = Some(rosout);
+    }
+
+    /// Publishes no more; the publisher is gone after this.
+    pub fn detach(&self) {
+        *self.0.rosout.write().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+}
+
+impl Log for NodeLog {
+    fn enabled(&self, metadata: &Metadata) -> bool {
+        self.0.terminal.enabled(metadata)
+    }
+
+    fn log(&self, record: &Record) {
+        if !self.0.terminal.matches(record) {
+            return;
+        }
+        if self.0.to_terminal {
+            self.0.terminal.log(record);
+        }
+        if !is_own(record.metadata()) {
+            return;
+        }
+        let rosout = self.0.rosout.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(rosout) = &*rosout {
+            // A full window loses the message, which the terminal has; there is nobody to tell.
+            let _ = rosout.publish(LogMessage {
+                stamp: Time::now(),
+                level: severity(record.level()),
+                name: self.0.name.clone(),
+                msg: record.args().to_string(),
+                file: record.file().unwrap_or_default().into(),
+                function: record.module_path().unwrap_or_default().into(),
+                line: record.line().unwrap_or_default(),
+            });
+        }
+    }
+
+    fn flush(&self) {
+        self.0.terminal.flush();
+    }
+}
+
+/// Whether a message is the node's own, and not one of a library.
+fn is_own(metadata: &Metadata) -> bool {
+    metadata.target().starts_with(OWN)
+}
+
+/// The constants of `rcl_interfaces/msg/Log`.
+fn severity(level: Level) -> u8 {
+    match level {
+        Level::Error => LogMessage::ERROR,
+        Level::Warn => LogMessage::WARN,
+        Level::Info => LogMessage::INFO,
+        Level::Debug | Level::Trace => LogMessage::DEBUG,
+    }
+}

@@ -1,0 +1,82 @@
+//! The way onto the network: a DDS participant in the domain and range of the environment.
+
+use std::net::{IpAddr, Ipv4Addr};
+
+use ros2_client::{Context, CreateError};
+use rustdds::DomainParticipantBuilder;
+
+use super::environment::{DiscoveryRange, Environment};
+
+/// Why there is no way onto the network.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParticipantError {
+    /// Every participant of the domain is taken.
+    #[error(
+        "no participant id is free in domain {domain}: 120 programs of this machine are in it, or \
+         other programs hold its ports ({first} to {last}). End some of them, or choose another \
+         ROS_DOMAIN_ID"
+    )]
+    NoneFree {
+        /// The domain.
+        domain: u16,
+        /// First unicast port of the domain.
+        first: u16,
+        /// Last unicast port of the domain.
+        last: u16,
+    },
+    /// Anything else that went wrong.
+    #[error("can't join domain {domain}: {reason}")]
+    Other {
+        /// The domain.
+        domain: u16,
+        /// What the DDS library says.
+        reason: String,
+    },
+}
+
+/// Joins the domain of the environment.
+///
+/// # Errors
+/// When no participant id is free, or the network can't be used.
+pub fn join(environment: &Environment) -> Result<Context, ParticipantError> {
+    let domain = environment.domain;
+    let mut builder = DomainParticipantBuilder::new(domain);
+    match environment.range {
+        DiscoveryRange::Subnet => {}
+        DiscoveryRange::Localhost => {
+            builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
+        }
+        DiscoveryRange::Off => {
+            builder = builder.with_only_networks(Vec::<IpAddr>::new()).same_host_loopback(false);
+        }
+    }
+    let other = |reason: String| ParticipantError::Other { domain, reason };
+    let participant = builder.build().map_err(|e| match e {
+        rustdds::dds::CreateError::OutOfResources { .. } => {
+            let (first, last) = ports(domain);
+            ParticipantError::NoneFree { domain, first, last }
+        }
+        e => other(e.to_string()),
+    })?;
+    Context::from_domain_participant(participant).map_err(|e: CreateError| other(e.to_string()))
+}
+
+/// The unicast ports of a domain: discovery of participant 0 to data of participant 119
+/// (RTPS 2.5, 9.6.2.3). The last domain has fewer, since ports end.
+fn ports(domain: u16) -> (u16, u16) {
+    let first = 7400 + 250 * domain + 10;
+    (first, first.saturating_add(1 + 2 * 119))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros::environment::MAX_DOMAIN;
+
+    #[test]
+    fn the_ports_of_a_domain_end_where_ports_end() {
+        assert_eq!(ports(0), (7410, 7649));
+        assert_eq!(ports(MAX_DOMAIN), (65410, 65535));
+    }
+}
