@@ -2,10 +2,16 @@
 //! services to the [server](crate::serving).
 
 pub mod arguments;
+pub mod banner;
+pub mod convert;
 pub mod environment;
+pub mod lane;
 pub mod log;
 pub mod messages;
 pub mod names;
+pub mod node;
 pub mod parameters;
 pub mod participant;
+pub mod state;
+pub mod wiring;
 pub mod yaml;

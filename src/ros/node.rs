@@ -1,0 +1,782 @@
+//! The node: what its topics, services and parameters do with a
+//! [`PrimitiveServer`](crate::serving::PrimitiveServer).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+use futures::future::BoxFuture;
+use ros2_client::builtin_interfaces::Time as StampTime;
+use ros2_client::entities_info::ParticipantEntitiesInfo;
+use ros2_client::parameters::raw;
+use ros2_client::qos::History;
+use ros2_client::rcl_interfaces::{
+    DescribeParametersRequest, DescribeParametersResponse, GetParameterTypesRequest,
+    GetParameterTypesResponse, GetParametersRequest, GetParametersResponse, ListParametersRequest,
+    ListParametersResponse, SetParametersAtomicallyResponse, SetParametersRequest,
+    SetParametersResponse,
+};
+use ros2_client::{Context, Gid, ParameterValue, Publisher, QosProfile};
+use tokio::task::{AbortHandle, JoinSet};
+
+use super::banner::{Banner, location_command};
+use super::convert::{self, Frames};
+use super::environment::Environment;
+use super::lane::Lane;
+use super::log::NodeLog;
+use super::messages::builtin_interfaces::Time;
+use super::messages::geometry_msgs::{PointStamped, PoseStamped};
+use super::messages::nav_msgs::Path;
+use super::messages::std_msgs::Text;
+use super::messages::std_srvs::{TriggerRequest, TriggerResponse};
+use super::messages::tcvae_msgs::{
+    DescribePrimitiveRequest, LoadModelRequest, LoadModelResponse,
+    SampleTrajectoryRequest, SampleTrajectoryResponse, SetMannerRequest, SetMannerResponse,
+};
+use super::messages::trajectory_msgs::{JointTrajectory, MultiDOFJointTrajectory};
+use super::names::NodeNames;
+use super::parameters::{self, Parameter};
+use super::participant::{self, ParticipantError};
+use super::state::{Loaded, Loader, NodeState};
+use super::wiring::{Reply, Wiring, WiringError, answer, each, latched, reliable};
+use crate::serving::{
+    ErrorCode, GivenLocation, PrimitiveServer, Refusal, Sample, SampleReply, SampleRequest,
+};
+
+/// Why the node does not run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NodeError {
+    /// No way onto the network.
+    #[error(transparent)]
+    Participant(#[from] ParticipantError),
+    /// An endpoint that can't be made.
+    #[error(transparent)]
+    Wiring(#[from] WiringError),
+    /// The system gives no thread.
+    #[error("no thread to sample in: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// The node while it runs. Dropping it takes the node off the graph.
+pub struct RunningNode {
+    tasks: JoinSet<()>,
+    shared: Option<Arc<Shared>>,
+    log: NodeLog,
+    // Last, so that it outlives everything that communicates.
+    _context: Context,
+}
+
+/// What the tasks of the node share.
+struct Shared {
+    names: NodeNames,
+    frames: Frames,
+    loader: Arc<dyn Loader>,
+    clock: Clock,
+    state: Mutex<NodeState>,
+    wiring: Mutex<Wiring>,
+    /// Topics that come and go with the model and the parameters, by their names.
+    topics: Mutex<BTreeMap<String, AbortHandle>>,
+    /// Samples that are published go through one lane, so that the last one asked for is the last
+    /// one published.
+    publishing: Lane,
+    sampling: Lane,
+    joint_trajectory: Publisher<JointTrajectory>,
+    end_effector_trajectory: Publisher<MultiDOFJointTrajectory>,
+    end_effector_path: Publisher<Path>,
+    model_info: Publisher<Text>,
+    parameter_events: Publisher<raw::ParameterEvent>,
+}
+
+/// Time for stamps, and a time for ages that never goes back.
+struct Clock {
+    started: Instant,
+    /// Nanoseconds of `/clock`.
+    simulated: AtomicI64,
+}
+
+impl RunningNode {
+    /// Puts the node on the graph. It needs a tokio runtime.
+    ///
+    /// # Errors
+    /// No way onto the network, or an endpoint that can't be made.
+    pub fn start(
+        names: NodeNames,
+        environment: &Environment,
+        state: NodeState,
+        loader: Arc<dyn Loader>,
+        log: NodeLog,
+        rosout: bool,
+    ) -> Result<Self, NodeError> {
+        let context = participant::join(environment)?;
+        let mut wiring = Wiring::new(&context, names.clone(), environment.service_mapping)?;
+        if rosout {
+            let lifespan = Some(Duration::from_secs(10));
+            let qos = latched(1000).lifespan(lifespan);
+            log.attach(wiring.publisher("/rosout", ("rcl_interfaces", "Log"), qos)?);
+        }
+        let trajectory = ("trajectory_msgs", "JointTrajectory");
+        let poses = ("trajectory_msgs", "MultiDOFJointTrajectory");
+        let event = ("rcl_interfaces", "ParameterEvent");
+        let mut tasks = JoinSet::new();
+        let participants = wiring.participants::<ParticipantEntitiesInfo>(&context)?;
+        tasks.spawn(each(
+            participants,
+            warn_of_twin(names.clone(), context.participant_entities_info().gid()),
+        ));
+        let shared = Arc::new(Shared {
+            frames: Frames { base: state.base_frame.clone(), tip: state.tip_link.clone() },
+            loader,
+            clock: Clock { started: Instant::now(), simulated: AtomicI64::new(0) },
+            state: Mutex::new(state),
+            topics: Mutex::default(),
+            publishing: Lane::new("publishing")?,
+            sampling: Lane::new("sampling")?,
+            joint_trajectory: wiring.publisher("~/joint_trajectory", trajectory, reliable(1))?,
+            end_effector_trajectory: wiring.publisher(
+                "~/end_effector_trajectory",
+                poses,
+                reliable(1),
+            )?,
+            end_effector_path: wiring.publisher(
+                "~/end_effector_path",
+                ("nav_msgs", "Path"),
+                latched(1),
+            )?,
+            model_info: wiring.publisher("~/model_info", ("std_msgs", "String"), latched(1))?,
+            parameter_events: wiring.publisher("/parameter_events", event, reliable(1000))?,
+            wiring: Mutex::new(wiring),
+            names,
+        });
+        shared.serve(&mut tasks)?;
+        shared.serve_parameters(&mut tasks)?;
+        let goal_pose = shared.wiring().subscription(
+            "~/goal_pose",
+            ("geometry_msgs", "PoseStamped"),
+            reliable(10),
+        )?;
+        let weak = Arc::downgrade(&shared);
+        tasks.spawn(each(goal_pose, move |goal: PoseStamped| {
+            with(&weak, |shared| shared.goal_pose(&goal));
+        }));
+        shared.sync_topics();
+        shared.announce_model();
+        shared.announce_parameters(&[]);
+        Ok(Self { tasks, shared: Some(shared), log, _context: context })
+    }
+
+    /// What the node serves, and commands to try.
+    pub fn banner(&self, environment: &Environment) -> String {
+        self.shared.as_ref().map(|shared| shared.banner(environment)).unwrap_or_default()
+    }
+
+    /// Takes the node off the graph.
+    pub async fn stop(mut self) {
+        if let Some(shared) = &self.shared {
+            lock(&shared.topics).values().for_each(AbortHandle::abort);
+        }
+        self.tasks.shutdown().await;
+        self.log.detach();
+        // A sample that is still computed holds no more than its own request.
+        self.shared = None;
+    }
+}
+
+/// Does something with the shared state, while it is there.
+fn with<T>(shared: &Weak<Shared>, act: impl FnOnce(&Arc<Shared>) -> T) -> Option<T> {
+    shared.upgrade().map(|shared| act(&shared))
+}
+
+/// The lock's content; a panic elsewhere does not make it unusable, since every change is made on
+/// a clone that replaces it whole.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, NodeState> {
+        lock(&self.state)
+    }
+
+    fn wiring(&self) -> MutexGuard<'_, Wiring> {
+        lock(&self.wiring)
+    }
+
+    fn now_secs(&self) -> f64 {
+        self.clock.started.elapsed().as_secs_f64()
+    }
+
+    /// The time for stamps: the system's, or that of `/clock`.
+    fn stamp(&self) -> StampTime {
+        match self.state().use_sim_time {
+            true => StampTime::from_nanos(self.clock.simulated.load(Relaxed)),
+            false => StampTime::now(),
+        }
+    }
+
+    fn banner(&self, environment: &Environment) -> String {
+        let state = self.state();
+        Banner {
+            description: &state.server.describe(),
+            locations: state.server.model().space().locations(),
+            model_path: state.model_path(),
+            urdf_path: state.urdf_path(),
+            frames: &self.frames,
+            names: &self.names,
+            environment,
+        }
+        .text()
+    }
+
+    // ---- Topics ----
+
+    /// A goal pose sets the first location of the task, and asks for a trajectory.
+    fn goal_pose(self: &Arc<Self>, goal: &PoseStamped) {
+        let received = Instant::now();
+        let name = self.state().server.goal_location().to_owned();
+        let set = self
+            .frames
+            .location(&name, &goal.header, &goal.pose.position)
+            .and_then(|location| self.set_location(&location))
+            .and_then(|()| self.publish_sample(SampleRequest::default(), received, |_| {}));
+        if let Err(refusal) = set {
+            log::warn!("goal refused: {refusal}");
+        }
+    }
+
+    /// A location of the task; it asks for a trajectory only with `publish_on_task`.
+    fn task_location(self: &Arc<Self>, name: &str, point: &PointStamped) {
+        let received = Instant::now();
+        let set = self
+            .frames
+            .location(name, &point.header, &point.point)
+            .and_then(|location| self.set_location(&location));
+        let publish = self.state().publish_on_task;
+        let done = set.and_then(|()| match publish {
+            true => self.publish_sample(SampleRequest::default(), received, |_| {}),
+            false => Ok(()),
+        });
+        if let Err(refusal) = done {
+            log::warn!("{name} refused: {refusal}");
+        }
+    }
+
+    fn set_location(&self, location: &GivenLocation) -> Result<(), Refusal> {
+        let now_secs = self.now_secs();
+        self.state().server.set_location(&location.name, location.xy, now_secs)?;
+        log::debug!("{} is ({:.3}, {:.3})", location.name, location.xy[0], location.xy[1]);
+        Ok(())
+    }
+
+    /// Makes the topics that the model and the parameters call for, and no others: one for each
+    /// location of the task, and `/clock` while it is wanted.
+    fn sync_topics(self: &Arc<Self>) {
+        let wanted: BTreeSet<String> = {
+            let state = self.state();
+            let space = state.server.model().space();
+            let locations = space.locations().iter().map(|l| format!("~/{}", l.name));
+            locations.chain(state.use_sim_time.then(|| "/clock".into())).collect()
+        };
+        let mut topics = lock(&self.topics);
+        topics.retain(|topic, task| {
+            let keep = wanted.contains(topic);
+            if !keep {
+                task.abort();
+            }
+            keep
+        });
+        for topic in wanted {
+            if topics.contains_key(&topic) {
+                continue;
+            }
+            match self.listen(&topic) {
+                Ok(task) => {
+                    topics.insert(topic, tokio::spawn(task).abort_handle());
+                }
+                Err(e) => log::error!("{e}"),
+            }
+        }
+    }
+
+    fn listen(self: &Arc<Self>, topic: &str) -> Result<BoxFuture<'static, ()>, WiringError> {
+        let weak = Arc::downgrade(self);
+        let mut wiring = self.wiring();
+        Ok(match topic.strip_prefix("~/") {
+            Some(location) => {
+                let points = ("geometry_msgs", "PointStamped");
+                let points = wiring.subscription(topic, points, reliable(10))?;
+                let location = location.to_owned();
+                Box::pin(each(points, move |point: PointStamped| {
+                    with(&weak, |shared| shared.task_location(&location, &point));
+                }))
+            }
+            None => {
+                // A message of one field has the layout of the field.
+                let clock = ("rosgraph_msgs", "Clock");
+                let qos =
+                    QosProfile::subscription_default().history(History::KeepLast { depth: 1 });
+                let clock = wiring.subscription(topic, clock, qos)?;
+                Box::pin(each(clock, move |time: Time| {
+                    let nanos = i64::from(time.sec) * 1_000_000_000 + i64::from(time.nanosec);
+                    with(&weak, |shared| shared.clock.simulated.store(nanos, Relaxed));
+                }))
+            }
+        })
+    }
+
+    // ---- Sampling ----
+
+    /// Samples for the latest task and publishes; `done` hears of it.
+    fn publish_sample(
+        self: &Arc<Self>,
+        request: SampleRequest,
+        received: Instant,
+        done: impl FnOnce(&SampleReply) + Send + 'static,
+    ) -> Result<(), Refusal> {
+        self.sample(&self.publishing, request, move |shared, reply| {
+            if let Some(sample) = reply.samples.first() {
+                shared.publish(sample, &reply.model_id, received);
+            }
+            done(&reply);
+        })
+    }
+
+    /// Answers a request in a lane, and then does something with the answer.
+    fn sample(
+        self: &Arc<Self>,
+        lane: &Lane,
+        request: SampleRequest,
+        then: impl FnOnce(&Self, SampleReply) + Send + 'static,
+    ) -> Result<(), Refusal> {
+        let server = self.state().server.clone();
+        let now_secs = self.now_secs();
+        let shared = Arc::downgrade(self);
+        lane.run(move || {
+            let answered = catch_unwind(AssertUnwindSafe(|| server.sample(&request, now_secs)));
+            let reply = answered.unwrap_or_else(|_| SampleReply {
+                samples: Vec::new(),
+                refusal: Some(Refusal::new(
+                    ErrorCode::Internal,
+                    "the program broke while it sampled; please report it with the terminal's \
+                     last lines",
+                )),
+                model_id: server.model().model_id.clone(),
+            });
+            with(&shared, |shared| {
+                let reply = SampleReply {
+                    refusal: reply.refusal.map(|r| shared.with_next_step(&server, &request, r)),
+                    ..reply
+                };
+                if let Some(refusal) = &reply.refusal {
+                    log::warn!("{refusal}");
+                }
+                then(shared, reply);
+            });
+        })
+    }
+
+    /// A refusal for want of a location says how to publish one.
+    fn with_next_step(
+        &self,
+        server: &PrimitiveServer,
+        request: &SampleRequest,
+        refusal: Refusal,
+    ) -> Refusal {
+        let missing = match refusal.code {
+            ErrorCode::NoTask => server.missing_location(&request.task),
+            _ => None,
+        };
+        match missing {
+            Some(location) => Refusal {
+                message: format!(
+                    "{}:\n  {}",
+                    refusal.message,
+                    location_command(&self.names, &self.frames.base, location)
+                ),
+                ..refusal
+            },
+            None => refusal,
+        }
+    }
+
+    fn publish(&self, sample: &Sample, model_id: &str, received: Instant) {
+        let (joints, poses) = (&sample.joint_trajectory, &sample.end_effector_trajectory);
+        let stamp = self.stamp().to_nanos();
+        let stamp = Time {
+            sec: i32::try_from(stamp.div_euclid(1_000_000_000)).unwrap_or(i32::MAX),
+            nanosec: stamp.rem_euclid(1_000_000_000) as u32,
+        };
+        let mut lost = Vec::new();
+        if let Err(e) = self.joint_trajectory.publish(self.frames.joint_trajectory(joints)) {
+            lost.push(e.to_string());
+        }
+        let took_ms = received.elapsed().as_secs_f64() * 1e3;
+        let message = self.frames.end_effector_trajectory(poses);
+        if let Err(e) = self.end_effector_trajectory.publish(message) {
+            lost.push(e.to_string());
+        }
+        if let Err(e) = self.end_effector_path.publish(self.frames.path(poses, stamp)) {
+            lost.push(e.to_string());
+        }
+        if lost.is_empty() {
+            log::info!("published in {took_ms:.2} ms: {}", summary(sample, model_id));
+        } else {
+            log::error!("a trajectory could not be published: {}", lost.join("; "));
+        }
+        for warning in &sample.warnings {
+            log::info!("note: {warning}");
+        }
+    }
+
+    // ---- Services ----
+
+    fn serve(self: &Arc<Self>, tasks: &mut JoinSet<()>) -> Result<(), WiringError> {
+        let mut wiring = self.wiring();
+
+        let server = wiring.service("~/sample", ("std_srvs", "Trigger"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |_: TriggerRequest, reply| {
+            with(&shared, |shared| shared.trigger(reply));
+            async {}
+        }));
+
+        let server = wiring.service("~/sample_trajectory", ("tcvae_msgs", "SampleTrajectory"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: SampleTrajectoryRequest, reply| {
+            with(&shared, |shared| shared.sample_trajectory(request, reply));
+            async {}
+        }));
+
+        let server = wiring.service("~/set_manner", ("tcvae_msgs", "SetManner"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: SetMannerRequest, reply: Reply<_, _>| {
+            if let Some(response) = with(&shared, |shared| shared.set_manner(&request)) {
+                reply.send(response);
+            }
+            async {}
+        }));
+
+        let server = wiring.service("~/describe_primitive", ("tcvae_msgs", "DescribePrimitive"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |_: DescribePrimitiveRequest, reply: Reply<_, _>| {
+            let description = with(&shared, |shared| shared.state().server.describe());
+            if let Some(description) = description {
+                reply.send(convert::description(description));
+            }
+            async {}
+        }));
+
+        let server = wiring.service("~/load_model", ("tcvae_msgs", "LoadModel"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: LoadModelRequest, reply: Reply<_, _>| {
+            let shared = shared.clone();
+            async move {
+                let Some(shared) = shared.upgrade() else { return };
+                reply.send(shared.load_model(request.path).await);
+            }
+        }));
+        Ok(())
+    }
+
+    fn trigger(self: &Arc<Self>, reply: Reply<TriggerRequest, TriggerResponse>) {
+        let reply = Arc::new(Mutex::new(Some(reply)));
+        let respond = {
+            let reply = Arc::clone(&reply);
+            move |success, message| {
+                if let Some(reply) = lock(&reply).take() {
+                    reply.send(TriggerResponse { success, message });
+                }
+            }
+        };
+        let later = respond.clone();
+        let asked = self.publish_sample(SampleRequest::default(), Instant::now(), move |reply| {
+            match (&reply.refusal, reply.samples.first()) {
+                (None, Some(sample)) => later(true, summary(sample, &reply.model_id)),
+                (Some(refusal), _) => later(false, refusal.to_string()),
+                (None, None) => later(false, "nothing was sampled".into()),
+            }
+        });
+        if let Err(refusal) = asked {
+            log::warn!("{refusal}");
+            respond(false, refusal.to_string());
+        }
+    }
+
+    fn sample_trajectory(
+        self: &Arc<Self>,
+        message: SampleTrajectoryRequest,
+        reply: Reply<SampleTrajectoryRequest, SampleTrajectoryResponse>,
+    ) {
+        let received = Instant::now();
+        let publish = message.publish;
+        let refused = |shared: &Self, refusal: Refusal| {
+            log::warn!("{refusal}");
+            let model_id = shared.state().server.model().model_id.clone();
+            shared.frames.response(SampleReply {
+                samples: Vec::new(),
+                refusal: Some(refusal),
+                model_id,
+            })
+        };
+        let request = match self.frames.request(message) {
+            Ok(request) => request,
+            Err(refusal) => return reply.send(refused(self, refusal)),
+        };
+        let lane = if publish { &self.publishing } else { &self.sampling };
+        // The lane drops what it does not take, so the way back stays here too.
+        let reply = Arc::new(Mutex::new(Some(reply)));
+        let later = Arc::clone(&reply);
+        let asked = self.sample(lane, request, move |shared, answer| {
+            if let (true, Some(sample)) = (publish, answer.samples.first()) {
+                shared.publish(sample, &answer.model_id, received);
+            }
+            if let Some(reply) = lock(&later).take() {
+                reply.send(shared.frames.response(answer));
+            }
+        });
+        if let (Err(refusal), Some(reply)) = (asked, lock(&reply).take()) {
+            reply.send(refused(self, refusal));
+        }
+    }
+
+    fn set_manner(self: &Arc<Self>, request: &SetMannerRequest) -> SetMannerResponse {
+        let changed = self.change(|state| {
+            state.server.set_manner(&request.names, &request.values, request.reset)
+        });
+        if let Err(refusal) = &changed {
+            log::warn!("manner refused: {refusal}");
+        }
+        let (error_code, error_message) = convert::error(changed.err().as_ref());
+        let state = self.state();
+        let axes = state.server.model().primitive.manner_space().axes();
+        let manner = convert::manner(axes, state.server.manner());
+        SetMannerResponse { error_code, error_message, manner }
+    }
+
+    async fn load_model(self: &Arc<Self>, path: String) -> LoadModelResponse {
+        let loaded = match self.read_model(path).await {
+            Ok(loaded) => self.change(|state| state.load(loaded.clone())),
+            Err(refusal) => Err(refusal),
+        };
+        if let Err(refusal) = &loaded {
+            log::warn!("model refused, the old one stays: {refusal}");
+        }
+        let (error_code, error_message) = convert::error(loaded.err().as_ref());
+        let model_id = self.state().server.model().model_id.clone();
+        LoadModelResponse { error_code, error_message, model_id }
+    }
+
+    /// Reads a model file where it holds up nobody.
+    async fn read_model(&self, path: String) -> Result<Loaded, Refusal> {
+        let loader = Arc::clone(&self.loader);
+        let read = tokio::task::spawn_blocking(move || {
+            let model = Arc::new(loader.model(&path)?);
+            Ok(Loaded { path, model })
+        });
+        read.await.unwrap_or_else(|e| {
+            Err(Refusal::new(ErrorCode::Internal, format!("the program broke on this file: {e}")))
+        })
+    }
+
+    // ---- Parameters ----
+
+    fn serve_parameters(self: &Arc<Self>, tasks: &mut JoinSet<()>) -> Result<(), WiringError> {
+        let mut wiring = self.wiring();
+
+        let server = wiring.service("~/get_parameters", ("rcl_interfaces", "GetParameters"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: GetParametersRequest, reply: Reply<_, _>| {
+            let values = with(&shared, |s| parameters::get(&s.parameters(), &request.names));
+            if let Some(values) = values {
+                reply.send(GetParametersResponse { values });
+            }
+            async {}
+        }));
+
+        let server =
+            wiring.service("~/get_parameter_types", ("rcl_interfaces", "GetParameterTypes"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(
+            server,
+            move |request: GetParameterTypesRequest, reply: Reply<_, _>| {
+                let values = with(&shared, |s| parameters::types(&s.parameters(), &request.names));
+                if let Some(values) = values {
+                    reply.send(GetParameterTypesResponse { values });
+                }
+                async {}
+            },
+        ));
+
+        let server =
+            wiring.service("~/describe_parameters", ("rcl_interfaces", "DescribeParameters"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(
+            server,
+            move |request: DescribeParametersRequest, reply: Reply<_, _>| {
+                let values =
+                    with(&shared, |s| parameters::describe(&s.parameters(), &request.names));
+                if let Some(values) = values {
+                    reply.send(DescribeParametersResponse { values });
+                }
+                async {}
+            },
+        ));
+
+        let server = wiring.service("~/list_parameters", ("rcl_interfaces", "ListParameters"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: ListParametersRequest, reply: Reply<_, _>| {
+            let ListParametersRequest { prefixes, depth } = request;
+            let result = with(&shared, |s| parameters::list(&s.parameters(), &prefixes, depth));
+            if let Some(result) = result {
+                reply.send(ListParametersResponse { result });
+            }
+            async {}
+        }));
+
+        let server = wiring.service("~/set_parameters", ("rcl_interfaces", "SetParameters"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: SetParametersRequest, reply: Reply<_, _>| {
+            let shared = shared.clone();
+            async move {
+                let Some(shared) = shared.upgrade() else { return };
+                let mut results = Vec::with_capacity(request.parameter.len());
+                for parameter in request.parameter {
+                    results.push(shared.set_parameters(vec![parameter]).await);
+                }
+                reply.send(SetParametersResponse { results });
+            }
+        }));
+
+        let server = wiring.service(
+            "~/set_parameters_atomically",
+            ("rcl_interfaces", "SetParametersAtomically"),
+        )?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: SetParametersRequest, reply: Reply<_, _>| {
+            let shared = shared.clone();
+            async move {
+                let Some(shared) = shared.upgrade() else { return };
+                let result = shared.set_parameters(request.parameter).await;
+                reply.send(SetParametersAtomicallyResponse { result });
+            }
+        }));
+        Ok(())
+    }
+
+    fn parameters(&self) -> Vec<Parameter> {
+        self.state().parameters()
+    }
+
+    /// Sets all of these parameters, or none.
+    async fn set_parameters(
+        self: &Arc<Self>,
+        wanted: Vec<raw::Parameter>,
+    ) -> raw::SetParametersResult {
+        let wanted: Vec<(String, ParameterValue)> =
+            wanted.into_iter().map(|p| (p.name, p.value.into())).collect();
+        let result = match self.read_models(&wanted).await {
+            Ok(loaded) => self.change(|state| {
+                wanted.iter().try_for_each(|(name, value)| state.set(name, value.clone(), &loaded))
+            }),
+            Err(refusal) => Err(refusal.to_string()),
+        };
+        if let Err(reason) = &result {
+            log::warn!("parameter refused: {reason}");
+        }
+        result.into()
+    }
+
+    /// The models that these parameters ask for.
+    async fn read_models(
+        &self,
+        wanted: &[(String, ParameterValue)],
+    ) -> Result<Vec<Loaded>, Refusal> {
+        let mut loaded = Vec::new();
+        for (name, value) in wanted {
+            if let ("model_path", ParameterValue::String(path)) = (name.as_str(), value) {
+                loaded.push(self.read_model(path.clone()).await?);
+            }
+        }
+        Ok(loaded)
+    }
+
+    /// Changes the state wholly or not at all, and tells the graph what changed.
+    fn change<E>(
+        self: &Arc<Self>,
+        change: impl FnOnce(&mut NodeState) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let (before, model_changed) = {
+            let mut state = self.state();
+            let before = state.parameters();
+            let mut changed = state.clone();
+            change(&mut changed)?;
+            let old_model = std::ptr::from_ref(state.server.model());
+            let model_changed = !std::ptr::eq(old_model, changed.server.model());
+            *state = changed;
+            (before, model_changed)
+        };
+        self.announce_parameters(&before);
+        if model_changed {
+            self.announce_model();
+        }
+        self.sync_topics();
+        Ok(())
+    }
+
+    /// Publishes what differs from `before`.
+    fn announce_parameters(&self, before: &[Parameter]) {
+        let name = self.names.fully_qualified();
+        if let Some(event) = parameters::event(before, &self.parameters(), self.stamp(), &name)
+            && let Err(e) = self.parameter_events.publish(event)
+        {
+            log::warn!("a parameter event could not be sent: {e}");
+        }
+    }
+
+    /// Publishes what is served.
+    fn announce_model(&self) {
+        let description = self.state().server.describe();
+        log::info!("serving {} with model {}", description.primitive, description.model_id);
+        let data = convert::model_info(&description, &self.frames);
+        if let Err(e) = self.model_info.publish(Text { data }) {
+            log::warn!("the model's description could not be sent: {e}");
+        }
+    }
+}
+
+/// What a log line or a trigger's answer says of a sample.
+fn summary(sample: &Sample, model_id: &str) -> String {
+    let times = &sample.joint_trajectory.times_secs;
+    let task: Vec<_> = sample
+        .empirical_task
+        .iter()
+        .map(|l| format!("{} ({:.3}, {:.3})", l.name, l.xy[0], l.xy[1]))
+        .collect();
+    format!(
+        "{} points over {:.2} s, {}, task error {:.1} mm, slowed down {:.2} times, seed {}, \
+         model {model_id}",
+        times.len(),
+        times.last().copied().unwrap_or_default(),
+        task.join(", "),
+        sample.task_error * 1e3,
+        sample.slowdown,
+        sample.seed,
+    )
+}
+
+/// Warns once of every other participant that has a node of this name.
+fn warn_of_twin(names: NodeNames, own: Gid) -> impl FnMut(ParticipantEntitiesInfo) {
+    let mut known = BTreeSet::new();
+    move |participant| {
+        let name = names.fully_qualified();
+        let twin = participant.nodes().iter().any(|node| node.fully_qualified_name() == name);
+        if twin && participant.gid() != own && known.insert(participant.gid()) {
+            log::warn!(
+                "another node is called {name}; clients can't tell the two apart. Rename one: \
+                 --ros-args -r __node:=another_name"
+            );
+        }
+    }
+}
