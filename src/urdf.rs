@@ -8,6 +8,7 @@ use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::JointType;
 
 use crate::kinematics::{Chain, ChainError, Joint, JointKind};
+use crate::serving::Robot;
 
 /// Why a robot description has no chain between the two frames.
 #[derive(Debug, thiserror::Error)]
@@ -82,6 +83,14 @@ pub enum UrdfError {
 /// Text that is not URDF, frames that are not in it, a tip that does not hang on the base, a joint
 /// on the way that floats, mimics, or has no usable limits.
 pub fn chain(urdf_xml: &str, base: &str, tip: &str) -> Result<Chain, UrdfError> {
+    Ok(robot(urdf_xml, base, tip)?.chain)
+}
+
+/// The arm from the link `base` to the link `tip`, under the name that the description gives.
+///
+/// # Errors
+/// As [`chain`].
+pub fn robot(urdf_xml: &str, base: &str, tip: &str) -> Result<Robot, UrdfError> {
     let robot = urdf_rs::read_from_string(urdf_xml).map_err(UrdfError::Parse)?;
     for (frame, role) in [(base, "base frame"), (tip, "tip link")] {
         if !robot.links.iter().any(|l| l.name == frame) {
@@ -123,7 +132,8 @@ pub fn chain(urdf_xml: &str, base: &str, tip: &str) -> Result<Chain, UrdfError> 
             acceleration: acceleration.is_finite().then_some(acceleration),
         });
     }
-    Ok(Chain::new(base, tip, joints, parent_from_here)?)
+    let chain = Chain::new(base, tip, joints, parent_from_here)?;
+    Ok(Robot { name: robot.name, chain })
 }
 
 /// The joints from `base` to `tip`, in that order.

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
-use crate::parameters::{MannerParameters, ParameterError, TaskParameters};
+use crate::parameters::{MannerParameters, ParameterError, TaskLocation, TaskParameters};
 use crate::serving::motion::{Failure, Order};
 use crate::serving::{
     Description, ErrorCode, GivenLocation, MAX_COUNT, MannerMode, OutOfDistribution, RankBy,
@@ -120,6 +120,17 @@ impl PrimitiveServer {
         }
         self.defaults[index] = xy;
         Ok(())
+    }
+
+    /// The first location of the task that a request for these would not find: neither among
+    /// them, nor set, nor a default.
+    pub fn missing_location(&self, asked: &[GivenLocation]) -> Option<&TaskLocation> {
+        let known = self.given.iter().zip(&self.defaults);
+        let locations = self.model.space().locations().iter().zip(known);
+        locations
+            .filter(|(_, (given, default))| given.is_none() && default.is_none())
+            .map(|(location, _)| location)
+            .find(|location| asked.iter().all(|a| a.name != location.name))
     }
 
     /// The manner that is set, in standard deviations of the prior.
