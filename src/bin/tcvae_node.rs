@@ -1,1 +1,126 @@
-fn main() {}
+//! The ROS 2 node. Without arguments it serves the embedded pouring model on the embedded Baxter
+//! description.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use tcvae::artifact::{Artifact, ArtifactError};
+use tcvae::config::BAXTER_URDF;
+use tcvae::ros::arguments::{Arguments, Command, HELP};
+use tcvae::ros::environment::Environment;
+use tcvae::ros::log::NodeLog;
+use tcvae::ros::names::NodeNames;
+use tcvae::ros::node::RunningNode;
+use tcvae::ros::state::{Loader, NodeState};
+use tcvae::serving::{ErrorCode, Refusal, Robot, ServedModel};
+use tcvae::urdf::UrdfError;
+use tokio::signal::unix::{SignalKind, signal};
+
+/// Reads models and robots from files; an empty path means the embedded one.
+struct Files;
+
+impl Loader for Files {
+    fn model(&self, path: &str) -> Result<ServedModel, Refusal> {
+        let artifact = match path {
+            "" => {
+                return Err(Refusal::new(
+                    ErrorCode::BadFile,
+                    "this build has no model of its own; start it with --model FILE",
+                ));
+            }
+            path => Artifact::load(Path::new(path)),
+        };
+        artifact.and_then(|artifact| artifact.served_model()).map_err(|e| {
+            let code = match e {
+                ArtifactError::Version { .. } => ErrorCode::FormatVersion,
+                ArtifactError::NoRobot { .. } => ErrorCode::RobotMismatch,
+                _ => ErrorCode::BadFile,
+            };
+            Refusal::new(code, format!("{path}: {e}"))
+        })
+    }
+
+    fn robot(&self, path: &str, base_frame: &str, tip_link: &str) -> Result<Robot, Refusal> {
+        let urdf = match path {
+            "" => BAXTER_URDF.to_owned(),
+            path => std::fs::read_to_string(path)
+                .map_err(|e| Refusal::new(ErrorCode::BadFile, format!("{path}: {e}")))?,
+        };
+        tcvae::urdf::robot(&urdf, base_frame, tip_link).map_err(|e| {
+            let code = match e {
+                UrdfError::Parse(_) => ErrorCode::BadFile,
+                _ => ErrorCode::RobotMismatch,
+            };
+            let file = if path.is_empty() { "the built-in robot" } else { path };
+            Refusal::new(code, format!("{file}: {e}"))
+        })
+    }
+}
+
+/// Exit code of wrong usage: the command line, the environment, the network.
+const WRONG_USAGE: u8 = 2;
+/// Exit code of files that can't be served.
+const BAD_DATA: u8 = 3;
+
+fn main() -> ExitCode {
+    let done = match Arguments::parse(std::env::args().skip(1)) {
+        Ok(Command::Help) => print(HELP),
+        Ok(Command::Version) => print(concat!("tcvae_node ", env!("CARGO_PKG_VERSION"), "\n")),
+        Ok(Command::Run(arguments)) => run(&arguments),
+        Err(e) => Err(e.into()),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("tcvae_node: {e:#}");
+            let code = e.downcast_ref::<Refusal>().map(|refusal| refusal.code);
+            ExitCode::from(match code {
+                Some(ErrorCode::BadFile | ErrorCode::FormatVersion | ErrorCode::RobotMismatch) => {
+                    BAD_DATA
+                }
+                _ => WRONG_USAGE,
+            })
+        }
+    }
+}
+
+fn print(text: &str) -> anyhow::Result<()> {
+    Ok(std::io::stdout().write_all(text.as_bytes())?)
+}
+
+fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let names = NodeNames::new("tcvae", &arguments.remaps)?;
+    let environment = Environment::read(|name| std::env::var(name).ok())?;
+    let values = arguments.overrides(&names, |path| std::fs::read_to_string(path))?;
+    let log = NodeLog::install(&names.logger(), arguments)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_io()
+        .enable_time()
+        .build()?;
+    let (state, mut warnings) = NodeState::new(values, &Files)?;
+    warnings.extend(environment.warnings.iter().cloned());
+    let ignored = arguments.ignored.iter().map(|flag| format!("{flag} has no effect on this node"));
+    warnings.extend(ignored);
+    runtime.block_on(async {
+        // Before the node is on the graph, so that no signal finds the default handler.
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        let mut terminate = signal(SignalKind::terminate())?;
+        let node =
+            RunningNode::start(names, &environment, state, Arc::new(Files), log, arguments.rosout)?;
+        for warning in warnings {
+            log::warn!("{warning}");
+        }
+        // A closed standard output is no reason not to serve.
+        let _ = print(&node.banner(&environment));
+        let name = tokio::select! {
+            _ = interrupt.recv() => "SIGINT",
+            _ = terminate.recv() => "SIGTERM",
+        };
+        log::info!("{name}: leaving");
+        node.stop().await;
+        Ok(())
+    })
+}

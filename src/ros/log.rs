@@ -36,6 +36,8 @@ impl NodeLog {
     pub fn install(name: &str, arguments: &Arguments) -> Result<Self, log::SetLoggerError> {
         let mut builder = env_logger::Builder::new();
         builder.filter_level(LevelFilter::Error).filter_module(OWN, LevelFilter::Info);
+        // Its one error is that leaving a multicast group fails on loopback, at every end.
+        builder.filter_module("rustdds::network::udp_listener", LevelFilter::Off);
         // It warns of every ROS_DISTRO but one, while the wire format is the same since Iron.
         builder.filter_module("ros2_client::distributions", LevelFilter::Off);
         for level in &arguments.log_levels {

@@ -32,8 +32,8 @@ use super::messages::nav_msgs::Path;
 use super::messages::std_msgs::Text;
 use super::messages::std_srvs::{TriggerRequest, TriggerResponse};
 use super::messages::tcvae_msgs::{
-    DescribePrimitiveRequest, LoadModelRequest, LoadModelResponse,
-    SampleTrajectoryRequest, SampleTrajectoryResponse, SetMannerRequest, SetMannerResponse,
+    DescribePrimitiveRequest, LoadModelRequest, LoadModelResponse, SampleTrajectoryRequest,
+    SampleTrajectoryResponse, SetMannerRequest, SetMannerResponse,
 };
 use super::messages::trajectory_msgs::{JointTrajectory, MultiDOFJointTrajectory};
 use super::names::NodeNames;
@@ -481,26 +481,22 @@ impl Shared {
     }
 
     fn trigger(self: &Arc<Self>, reply: Reply<TriggerRequest, TriggerResponse>) {
-        let reply = Arc::new(Mutex::new(Some(reply)));
-        let respond = {
-            let reply = Arc::clone(&reply);
-            move |success, message| {
-                if let Some(reply) = lock(&reply).take() {
-                    reply.send(TriggerResponse { success, message });
+        let received = Instant::now();
+        let later = reply.clone();
+        let asked = self.publish_sample(SampleRequest::default(), received, move |answer| {
+            later.send(match (&answer.refusal, answer.samples.first()) {
+                (None, Some(sample)) => {
+                    TriggerResponse { success: true, message: summary(sample, &answer.model_id) }
                 }
-            }
-        };
-        let later = respond.clone();
-        let asked = self.publish_sample(SampleRequest::default(), Instant::now(), move |reply| {
-            match (&reply.refusal, reply.samples.first()) {
-                (None, Some(sample)) => later(true, summary(sample, &reply.model_id)),
-                (Some(refusal), _) => later(false, refusal.to_string()),
-                (None, None) => later(false, "nothing was sampled".into()),
-            }
+                (refusal, _) => TriggerResponse {
+                    success: false,
+                    message: refusal.as_ref().map(Refusal::to_string).unwrap_or_default(),
+                },
+            });
         });
         if let Err(refusal) = asked {
             log::warn!("{refusal}");
-            respond(false, refusal.to_string());
+            reply.send(TriggerResponse { success: false, message: refusal.to_string() });
         }
     }
 
@@ -511,33 +507,22 @@ impl Shared {
     ) {
         let received = Instant::now();
         let publish = message.publish;
-        let refused = |shared: &Self, refusal: Refusal| {
-            log::warn!("{refusal}");
-            let model_id = shared.state().server.model().model_id.clone();
-            shared.frames.response(SampleReply {
-                samples: Vec::new(),
-                refusal: Some(refusal),
-                model_id,
-            })
-        };
-        let request = match self.frames.request(message) {
-            Ok(request) => request,
-            Err(refusal) => return reply.send(refused(self, refusal)),
-        };
         let lane = if publish { &self.publishing } else { &self.sampling };
-        // The lane drops what it does not take, so the way back stays here too.
-        let reply = Arc::new(Mutex::new(Some(reply)));
-        let later = Arc::clone(&reply);
-        let asked = self.sample(lane, request, move |shared, answer| {
-            if let (true, Some(sample)) = (publish, answer.samples.first()) {
-                shared.publish(sample, &answer.model_id, received);
-            }
-            if let Some(reply) = lock(&later).take() {
-                reply.send(shared.frames.response(answer));
-            }
+        let later = reply.clone();
+        let asked = self.frames.request(message).and_then(|request| {
+            self.sample(lane, request, move |shared, answer| {
+                if let (true, Some(sample)) = (publish, answer.samples.first()) {
+                    shared.publish(sample, &answer.model_id, received);
+                }
+                later.send(shared.frames.response(answer));
+            })
         });
-        if let (Err(refusal), Some(reply)) = (asked, lock(&reply).take()) {
-            reply.send(refused(self, refusal));
+        if let Err(refusal) = asked {
+            log::warn!("{refusal}");
+            let model_id = self.state().server.model().model_id.clone();
+            let samples = Vec::new();
+            let answer = SampleReply { samples, refusal: Some(refusal), model_id };
+            reply.send(self.frames.response(answer));
         }
     }
 

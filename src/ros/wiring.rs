@@ -190,15 +190,21 @@ where
     }
 }
 
-/// What an answer goes through. It does not keep the service alive.
+/// The way back to the client of one request. It does not keep the service alive.
 pub struct Reply<Q: Message, A: Message> {
     server: Weak<Server<Q, A>>,
     id: RmwRequestId,
 }
 
+impl<Q: Message, A: Message> Clone for Reply<Q, A> {
+    fn clone(&self) -> Self {
+        Self { server: Weak::clone(&self.server), id: self.id }
+    }
+}
+
 impl<Q: Message + 'static, A: Message + 'static> Reply<Q, A> {
     /// Answers the request.
-    pub fn send(self, answer: A) {
+    pub fn send(&self, answer: A) {
         let Some(server) = self.server.upgrade() else { return };
         if let Err(e) = server.send_response(self.id, answer) {
             log::warn!("an answer could not be sent: {e}");
