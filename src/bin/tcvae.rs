@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, evaluate, print_json, sample, simulate};
+use verbs::{ExitStatus, evaluate, print_json, sample, simulate, train};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -26,6 +26,8 @@ struct Cli {
 enum Verb {
     /// Write simulated demonstrations into a folder
     Simulate(simulate::SimulateArgs),
+    /// Learn a model from demonstrations
+    Train(train::TrainArgs),
     /// Sample checked motions of a model
     Sample(sample::SampleArgs),
     /// Measure a model on data that it was not trained on
@@ -36,6 +38,7 @@ impl Verb {
     fn json(&self) -> bool {
         match self {
             Self::Simulate(args) => args.json,
+            Self::Train(args) => args.json,
             Self::Sample(args) => args.json,
             Self::Evaluate(args) => args.json,
         }
@@ -44,6 +47,7 @@ impl Verb {
     fn run(self) -> anyhow::Result<ExitStatus> {
         match self {
             Self::Simulate(args) => simulate::run(args),
+            Self::Train(args) => train::run(args),
             Self::Sample(args) => sample::run(args),
             Self::Evaluate(args) => evaluate::run(args),
         }

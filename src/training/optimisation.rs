@@ -81,6 +81,8 @@ pub struct Checkpoint {
     pub model: Adam,
     /// The adversary.
     pub adversary: Adam,
+    /// The last epoch that is done.
+    pub report: Option<EpochReport>,
 }
 
 /// What a training tells while it runs.
@@ -126,7 +128,7 @@ pub struct Trained {
     pub weights: Weights,
     /// The posteriors of the validation set, one entry for each latent.
     pub latents: Vec<LatentStatistics>,
-    /// The last epoch; none when no epoch was left to do.
+    /// The last epoch.
     pub last_epoch: Option<EpochReport>,
 }
 
@@ -135,10 +137,12 @@ impl Checkpoint {
         let mut rng = stream(seed, START_STREAM);
         let [model, adversary] = layouts;
         let model = Adam::new(model.initial(&mut rng));
-        Self { epochs: 0, model, adversary: Adam::new(adversary.initial(&mut rng)) }
+        let adversary = Adam::new(adversary.initial(&mut rng));
+        Self { epochs: 0, model, adversary, report: None }
     }
 
-    /// The state as tensors, for a file: `model.values`, `model.first`, … and `epochs`.
+    /// The state but for the report as tensors, for a file: `model.values`, `model.first`, … and
+    /// `epochs`.
     pub fn to_weights(&self) -> Weights {
         let mut weights = Weights::new();
         let mut add = |name: String, values: &[f32]| {
@@ -165,6 +169,7 @@ impl Checkpoint {
         config: &TrainingConfig,
         model: &ModelConfig,
         weights: &Weights,
+        report: Option<EpochReport>,
     ) -> Result<Self, CheckpointError> {
         let flat = |name: &str, len: usize| -> Result<Vec<f32>, CheckpointError> {
             Ok(crate::model::checked(weights, name, &[len])?.values.clone())
@@ -181,6 +186,7 @@ impl Checkpoint {
             epochs: count("epochs")? as usize,
             model: adam("model", &of_model)?,
             adversary: adam("adversary", &of_adversary)?,
+            report,
         })
     }
 }
@@ -279,7 +285,6 @@ pub fn train(
     let mut state = start.unwrap_or_else(|| Checkpoint::start(&layouts, config.seed));
     let batches = train.len().div_ceil(config.batch);
     let total = config.epochs * batches;
-    let mut last_epoch = None;
     for epoch in state.epochs..config.epochs {
         let mut rng = stream(config.seed, epoch as u64 + 1);
         let mut order: Vec<u32> = (0..train.len() as u32).collect();
@@ -319,8 +324,8 @@ pub fn train(
             train: mean(&sums),
             validation: mean(&terms(&objective, &state, &held_out, config)),
         };
+        state.report = Some(report.clone());
         observe(Progress::Epoch { report: &report, checkpoint: &state });
-        last_epoch = Some(report);
     }
 
     let mut weights = layouts[0].to_weights(&state.model.values);
@@ -331,6 +336,7 @@ pub fn train(
     let recogniser = Recogniser::new(&model, &normalizer, &weights, config.backend)
         .expect("weights that were just trained");
     let latents = statistics(&recogniser.recognise(&validation));
+    let last_epoch = state.report;
     Ok(Outcome::Finished(Box::new(Trained { model, normalizer, weights, latents, last_epoch })))
 }
 
@@ -482,7 +488,13 @@ mod tests {
         let (whole, checkpoints) = run(&config, None);
         // By way of the tensors that a file holds.
         let tensors = checkpoints[1].to_weights();
-        let start = Checkpoint::from_weights(&config, &whole.model, &tensors).unwrap();
+        let start = Checkpoint::from_weights(
+            &config,
+            &whole.model,
+            &tensors,
+            checkpoints[1].report.clone(),
+        )
+        .unwrap();
         assert_eq!(start, checkpoints[1]);
         let (resumed, rest) = run(&config, Some(start));
         assert_eq!(rest, checkpoints[2..]);

@@ -3,6 +3,7 @@
 pub(crate) mod evaluate;
 pub(crate) mod sample;
 pub(crate) mod simulate;
+pub(crate) mod train;
 
 use std::io::{self, Write};
 use std::path::Path;

@@ -1,0 +1,610 @@
+//! `tcvae train`: from demonstrations to a model file.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File, TryLockError};
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use tcvae::artifact::{self, Artifact, DataSource, ModelDocument, RobotRecord};
+use tcvae::dataset;
+use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
+use tcvae::model::Backend;
+use tcvae::parameters::{Interval, MannerSpace, TaskLocation, TaskSpace};
+use tcvae::training::{
+    self, Checkpoint, EpochReport, MeanTerms, Outcome, Progress, Trained, TrainingConfig,
+};
+
+use super::{ExitStatus, UsageError, print_json, print_line};
+
+/// Manner parameters are bounded at this many standard deviations of the prior.
+const MANNER_BOUND: f64 = 3.0;
+/// What a checkpoint's file says it is.
+const CHECKPOINT: &str = "checkpoint";
+
+/// Arguments of `tcvae train`.
+#[derive(Debug, Args)]
+pub(crate) struct TrainArgs {
+    /// Folder with demonstrations, such as `tcvae simulate` writes
+    #[arg(required = true, value_name = "RECORDINGS")]
+    recordings: Vec<PathBuf>,
+    /// Model file to write
+    #[arg(short, long, value_name = "MODEL")]
+    output: PathBuf,
+    /// Settings; what the file leaves out keeps the task's preset (config/train-*.toml)
+    #[arg(long, value_name = "F.toml")]
+    config: Option<PathBuf>,
+    /// One setting, such as `network.width=64`
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Seed of the start values, of the batches and of the noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Burn's backend: flex or ndarray
+    #[arg(long)]
+    backend: Option<Backend>,
+    /// Go on from the checkpoint beside the model file
+    #[arg(long)]
+    resume: bool,
+    /// Print the answer as JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
+    // What can go wrong without learning anything goes wrong first.
+    let files = Files::beside(&args.output)?;
+    let _folder = files.claim()?;
+    let source = Source::load(&args.recordings)?;
+    let config = settings(&args, source.preset())?;
+    let start = args.resume.then(|| files.checkpoint(&config, &source)).transpose()?;
+    let mut log = Log::new(&files, &config, &source, start.as_ref())?;
+
+    keep_memory();
+    let stop = stop_on_signal()?;
+    let began = Instant::now();
+    let outcome = training::train(&config, &source.splits, start, &stop, &mut |progress| {
+        log.show(progress);
+    });
+    let saved = log.finish();
+    match outcome? {
+        Outcome::Stopped { epochs } => {
+            saved?;
+            let checkpoint = files.checkpoint.display();
+            eprintln!(
+                "stopped after epoch {epochs} of {}; {}",
+                config.epochs,
+                match epochs {
+                    0 => "nothing to save yet".to_owned(),
+                    _ => format!("saved {checkpoint}; the same command with --resume goes on"),
+                }
+            );
+            Ok(ExitStatus::BelowAsked)
+        }
+        Outcome::Finished(trained) => {
+            saved?;
+            let artifact = source.artifact(&config, *trained)?;
+            artifact.save(&files.model)?;
+            // The model is whole: there is nothing left to resume.
+            let _ = fs::remove_file(&files.checkpoint);
+            Ok(report(&artifact, &files.model, &config, began.elapsed(), args.json))
+        }
+    }
+}
+
+/// The answer, and whether the model is worth anything.
+fn report(
+    artifact: &Artifact,
+    path: &Path,
+    config: &TrainingConfig,
+    took: Duration,
+    json: bool,
+) -> ExitStatus {
+    let latents = &artifact.document.latents;
+    let active = latents.iter().filter(|l| l.kl > MeanTerms::ACTIVE_KL).count();
+    if json {
+        print_json(&json!({
+            "model": path, "model_id": artifact.model_id(), "epochs": config.epochs,
+            "seed": config.seed, "active_latents": active,
+            "kl": latents.iter().map(|l| l.kl).collect::<Vec<_>>(),
+            "seconds": took.as_secs_f64(),
+        }));
+    } else {
+        print_line(&format!(
+            "{}: model {}, {active} of {} latents active, {} epochs in {:.0} s",
+            path.display(),
+            artifact.model_id(),
+            latents.len(),
+            config.epochs,
+            took.as_secs_f64()
+        ));
+    }
+    if active == 0 {
+        eprintln!(
+            "the model has collapsed: no latent is active (mean KL above {} nat), so every manner \
+             gives the same motion; lower beta (now {}) or raise alpha more slowly",
+            MeanTerms::ACTIVE_KL,
+            config.beta
+        );
+        return ExitStatus::BelowAsked;
+    }
+    ExitStatus::Done
+}
+
+/// The task's preset, the file's settings over it, and the command line's over those.
+fn settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<TrainingConfig> {
+    let usage = |message: String| anyhow::Error::from(UsageError(message));
+    let mut table = toml::Table::try_from(preset).expect("settings are TOML");
+    if let Some(path) = &args.config {
+        let of_file = |e: &dyn std::fmt::Display| usage(format!("{}: {e}", path.display()));
+        let text = fs::read_to_string(path).map_err(|e| of_file(&e))?;
+        let file: toml::Table = text.parse().map_err(|e| of_file(&e))?;
+        // By itself first, so that what is wrong is shown with its line.
+        toml::from_str::<TrainingConfig>(&text).map_err(|e| of_file(&e))?;
+        overlay(&mut table, file);
+    }
+    for setting in &args.set {
+        let Some((key, value)) = setting.split_once('=') else {
+            return Err(usage(format!("--set {setting}: write it as KEY=VALUE")));
+        };
+        overlay(&mut table, nested(key.trim(), value.trim()));
+    }
+    let mut config: TrainingConfig =
+        table.try_into().map_err(|e: toml::de::Error| usage(format!("--set: {}", e.message())))?;
+    config.seed = args.seed.unwrap_or(config.seed);
+    config.backend = args.backend.unwrap_or(config.backend);
+    config.check().map_err(|e| usage(e.to_string()))?;
+    Ok(config)
+}
+
+/// `a.b = value` as tables; a value that is no TOML is a string.
+fn nested(key: &str, value: &str) -> toml::Table {
+    let (first, rest) = match key.split_once('.') {
+        Some((first, rest)) => (first, Some(rest)),
+        None => (key, None),
+    };
+    let value = match rest {
+        Some(rest) => toml::Value::Table(nested(rest, value)),
+        None => format!("value = {value}")
+            .parse::<toml::Table>()
+            .ok()
+            .and_then(|mut table| table.remove("value"))
+            .unwrap_or_else(|| toml::Value::String(value.into())),
+    };
+    toml::Table::from_iter([(first.to_owned(), value)])
+}
+
+/// Puts the values of `over` into `table`.
+fn overlay(table: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (table.get_mut(&key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(over)) => overlay(inner, over),
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Demonstrations, and what the model file says of them.
+struct Source {
+    task: TaskConfig,
+    splits: Splits,
+    digest: String,
+    data_source: DataSource,
+    task_space: TaskSpace,
+    state_names: Vec<String>,
+    state_reference_xyzw: Option<[f64; 4]>,
+    robot: Option<RobotRecord>,
+}
+
+impl Source {
+    fn load(paths: &[PathBuf]) -> anyhow::Result<Self> {
+        let [path] = paths else {
+            let count = paths.len();
+            return Err(UsageError(format!("{count} folders; a data set is one folder")).into());
+        };
+        let dataset::DataSet { task, splits, digest } = dataset::load(path)?;
+        let TaskConfig::Arcs(_) = task else {
+            bail!("{}: a data set of {}, not of arcs", path.display(), task.task().name());
+        };
+        Ok(Self {
+            task_space: trained_region(
+                &tcvae::demonstrations::arcs::ArcsTask::task_space(),
+                &splits.train,
+            ),
+            task,
+            splits,
+            digest,
+            data_source: DataSource::Synthetic,
+            state_names: vec!["x".into(), "y".into()],
+            state_reference_xyzw: None,
+            robot: None,
+        })
+    }
+
+    fn preset(&self) -> TrainingConfig {
+        match &self.task {
+            TaskConfig::Pouring(_) => TrainingConfig::pouring(),
+            _ => TrainingConfig::default(),
+        }
+    }
+
+    fn artifact(self, config: &TrainingConfig, trained: Trained) -> anyhow::Result<Artifact> {
+        let Trained { model, normalizer, weights, latents, last_epoch } = trained;
+        let Self { task, splits, digest, data_source, task_space, state_names, .. } = self;
+        let tasks: Vec<_> = splits.train.iter().map(|d| d.w.values().to_vec()).collect();
+        let document = ModelDocument {
+            training: config.clone(),
+            last_epoch,
+            git_revision: env!("TCVAE_GIT_REVISION").into(),
+            data_digest: digest,
+            data_source,
+            training_demonstrations: splits.train.len(),
+            task_space,
+            manner_space: MannerSpace::unnamed(model.network.latents, MANNER_BOUND),
+            latents,
+            state_names,
+            duration_secs: median_duration_secs(&splits.train),
+            normalizer,
+            state_reference_xyzw: self.state_reference_xyzw,
+            task,
+            robot: self.robot,
+            evaluation: None,
+            model,
+        };
+        Ok(Artifact::new(document, weights, &tasks)?)
+    }
+}
+
+/// The space with the box around the tasks that were trained on as its intervals.
+fn trained_region(space: &TaskSpace, demonstrations: &[Demonstration]) -> TaskSpace {
+    let around = |value: usize, otherwise: Interval| {
+        let values = || demonstrations.iter().map(|d| d.w.values()[value]);
+        match demonstrations {
+            [] => otherwise,
+            _ => Interval {
+                lower: values().fold(f64::INFINITY, f64::min),
+                upper: values().fold(f64::NEG_INFINITY, f64::max),
+            },
+        }
+    };
+    let location = |(i, location): (usize, &TaskLocation)| TaskLocation {
+        name: location.name.clone(),
+        x: around(2 * i, location.x),
+        y: around(2 * i + 1, location.y),
+    };
+    let locations = space.locations().iter().enumerate().map(location).collect();
+    TaskSpace::new(space.unit.clone(), locations).expect("the names are the space's")
+}
+
+fn median_duration_secs(demonstrations: &[Demonstration]) -> f64 {
+    let mut durations: Vec<_> = demonstrations.iter().map(|d| d.motion.duration_secs).collect();
+    durations.sort_by(f64::total_cmp);
+    durations[durations.len() / 2]
+}
+
+/// The files of a training, all in one folder.
+struct Files {
+    model: PathBuf,
+    checkpoint: PathBuf,
+    metrics: PathBuf,
+}
+
+/// What a checkpoint's file says beside its tensors.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CheckpointDocument {
+    training: TrainingConfig,
+    data_digest: String,
+    report: Option<EpochReport>,
+}
+
+impl Files {
+    fn beside(model: &Path) -> anyhow::Result<Self> {
+        if model.is_dir() || model.file_name().is_none() {
+            let path = model.display();
+            return Err(UsageError(format!("-o {path} is a folder; name a file in it")).into());
+        }
+        Ok(Self {
+            model: model.to_owned(),
+            checkpoint: model.with_extension("checkpoint.safetensors"),
+            metrics: model.with_extension("metrics.jsonl"),
+        })
+    }
+
+    /// Makes the folder, checks that it can be written to, and keeps other trainings out of it for
+    /// as long as the answer lives.
+    fn claim(&self) -> anyhow::Result<File> {
+        let folder = artifact::folder_of(&self.model);
+        let at = || folder.display().to_string();
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", at()))?;
+        let lock = File::open(folder).with_context(at)?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => bail!(
+                "another training is writing into {}; wait for it, or choose another folder",
+                at()
+            ),
+            Err(TryLockError::Error(e)) => return Err(e).with_context(at),
+        }
+        tempfile::NamedTempFile::new_in(folder)
+            .with_context(|| format!("cannot write into the folder {}", at()))?;
+        Ok(lock)
+    }
+
+    /// The checkpoint, if it is one of this training.
+    fn checkpoint(&self, config: &TrainingConfig, source: &Source) -> anyhow::Result<Checkpoint> {
+        let path = self.checkpoint.display();
+        if !self.checkpoint.exists() {
+            return Err(UsageError(format!("--resume: there is no checkpoint {path}")).into());
+        }
+        let bytes = artifact::read(&self.checkpoint)?;
+        let (document, tensors): (CheckpointDocument, _) =
+            artifact::decode(&bytes, CHECKPOINT).with_context(|| path.to_string())?;
+        let CheckpointDocument { training, data_digest, report } = document;
+        if data_digest != source.digest {
+            bail!("--resume: {path} was trained on other data ({data_digest:.12})");
+        }
+        if let Some(key) = first_difference(&training, config) {
+            let message = format!("--resume: {path} was trained with another {key}");
+            return Err(UsageError(message).into());
+        }
+        let first = &source.splits.train.first().context("no demonstrations to train on")?;
+        let model = config.model(first.motion.states.dim(), first.w.values().len());
+        Ok(Checkpoint::from_weights(config, &model, &tensors, report)?)
+    }
+
+    fn save(&self, checkpoint: &Checkpoint, document: &CheckpointDocument) -> anyhow::Result<()> {
+        let bytes = artifact::encode(&checkpoint.to_weights(), CHECKPOINT, document);
+        Ok(artifact::write(&self.checkpoint, &bytes)?)
+    }
+}
+
+/// The first setting in which two configurations differ.
+fn first_difference(a: &TrainingConfig, b: &TrainingConfig) -> Option<String> {
+    let flat = |config: &TrainingConfig| {
+        let table = toml::Table::try_from(config).expect("settings are TOML");
+        let mut flat = BTreeMap::new();
+        for (key, value) in table {
+            match value {
+                toml::Value::Table(inner) => {
+                    flat.extend(inner.into_iter().map(|(k, v)| (format!("{key}.{k}"), v)));
+                }
+                value => {
+                    flat.insert(key, value);
+                }
+            }
+        }
+        flat
+    };
+    let (a, b) = (flat(a), flat(b));
+    a.into_iter().find(|(key, value)| b.get(key) != Some(value)).map(|(key, _)| key)
+}
+
+/// What is shown and written while a training runs.
+struct Log<'a> {
+    files: &'a Files,
+    config: &'a TrainingConfig,
+    digest: &'a str,
+    metrics: File,
+    bar: Option<ProgressBar>,
+    epoch_began: Instant,
+    /// The first thing that could not be written; later ones follow from it.
+    failure: Option<anyhow::Error>,
+}
+
+/// A line of the metrics file.
+#[derive(Serialize, Deserialize)]
+struct MetricsLine {
+    #[serde(flatten)]
+    report: EpochReport,
+    active_latents: usize,
+    seconds: f64,
+}
+
+impl<'a> Log<'a> {
+    fn new(
+        files: &'a Files,
+        config: &'a TrainingConfig,
+        source: &'a Source,
+        start: Option<&Checkpoint>,
+    ) -> anyhow::Result<Self> {
+        let path = || files.metrics.display().to_string();
+        let done = start.map_or(0, |s| s.epochs);
+        // Of a training that goes on, the epochs that its checkpoint knows of.
+        let old = match start {
+            Some(_) => fs::read_to_string(&files.metrics).unwrap_or_default(),
+            None => String::new(),
+        };
+        let mut metrics = File::create(&files.metrics).with_context(path)?;
+        for line in old.lines() {
+            let epoch = serde_json::from_str::<MetricsLine>(line).map(|m| m.report.epoch);
+            if epoch.is_ok_and(|epoch| epoch <= done) {
+                writeln!(metrics, "{line}").with_context(path)?;
+            }
+        }
+        let Splits { train, validation, .. } = &source.splits;
+        let from = if done > 0 { format!(", from epoch {}", done + 1) } else { String::new() };
+        eprintln!(
+            "training on {} demonstrations, {} to validate on; {} epochs{from}; seed {}; {}",
+            train.len(),
+            validation.len(),
+            config.epochs,
+            config.seed,
+            config.backend
+        );
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let style = ProgressStyle::with_template("{bar:30} {percent:>3} % {eta:>5}  {msg}");
+            ProgressBar::new(0).with_style(style.expect("the template is one"))
+        });
+        let digest = source.digest.as_str();
+        let epoch_began = Instant::now();
+        Ok(Self { files, config, digest, metrics, bar, epoch_began, failure: None })
+    }
+
+    fn show(&mut self, progress: Progress<'_>) {
+        match progress {
+            Progress::Batch { done, total } => {
+                if let Some(bar) = &self.bar {
+                    bar.set_length(total as u64);
+                    // Batches that a checkpoint brought along say nothing of the speed.
+                    if bar.position() == 0 && done > 1 {
+                        bar.set_position(done as u64 - 1);
+                        bar.reset_eta();
+                    }
+                    bar.set_position(done as u64);
+                }
+            }
+            Progress::Epoch { report, checkpoint } => {
+                let seconds = self.epoch_began.elapsed().as_secs_f64();
+                self.epoch_began = Instant::now();
+                let line = epoch_line(report, self.config.epochs, seconds);
+                match &self.bar {
+                    Some(bar) => bar.set_message(line),
+                    None => eprintln!("{line}"),
+                }
+                if let Err(error) = self.write(report, checkpoint, seconds) {
+                    self.failure.get_or_insert(error);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn write(
+        &mut self,
+        report: &EpochReport,
+        checkpoint: &Checkpoint,
+        seconds: f64,
+    ) -> anyhow::Result<()> {
+        let active_latents = report.validation.active_latents();
+        let line = MetricsLine { report: report.clone(), active_latents, seconds };
+        let line = serde_json::to_string(&line)?;
+        writeln!(self.metrics, "{line}")
+            .with_context(|| self.files.metrics.display().to_string())?;
+        let document = CheckpointDocument {
+            training: self.config.clone(),
+            data_digest: self.digest.into(),
+            report: Some(report.clone()),
+        };
+        self.files.save(checkpoint, &document)
+    }
+
+    /// Ends the display; what could not be written on the way is an error now.
+    fn finish(self) -> anyhow::Result<()> {
+        if let Some(bar) = &self.bar {
+            bar.abandon();
+        }
+        self.failure.map_or(Ok(()), Err)
+    }
+}
+
+/// An epoch as a person reads it.
+fn epoch_line(report: &EpochReport, epochs: usize, seconds: f64) -> String {
+    let EpochReport { epoch, validation, .. } = report;
+    let MeanTerms { negative_log_likelihood, kl, adversary } = validation;
+    let kl: Vec<_> = kl.iter().map(|kl| format!("{kl:.2}")).collect();
+    format!(
+        "epoch {epoch}/{epochs}: validation nll {negative_log_likelihood:.1}, kl {}, adversary \
+         {adversary:.2}; {seconds:.1} s",
+        kl.join(" ")
+    )
+}
+
+/// A flag that the first Ctrl-C or SIGTERM sets; the second ends the program at once.
+fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })?;
+    Ok(stop)
+}
+
+/// Keeps freed blocks with the process. A training step frees and takes megabytes; by default
+/// glibc gives them back to the kernel each time, and the page faults cost more than the products.
+fn keep_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        const KEPT: libc::c_int = 1 << 30;
+        const AHEAD: libc::c_int = 64 << 20;
+        #[expect(
+            unsafe_code,
+            reason = "mallopt has no safe binding; it only sets allocator limits"
+        )]
+        // SAFETY: mallopt takes plain numbers, and no other thread runs yet.
+        unsafe {
+            libc::mallopt(libc::M_MMAP_THRESHOLD, KEPT);
+            libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT);
+            libc::mallopt(libc::M_TOP_PAD, AHEAD);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(set: &[&str]) -> TrainArgs {
+        TrainArgs {
+            recordings: Vec::new(),
+            output: "model.safetensors".into(),
+            config: None,
+            set: set.iter().map(|s| s.to_string()).collect(),
+            seed: None,
+            backend: None,
+            resume: false,
+            json: false,
+        }
+    }
+
+    #[test]
+    fn settings_lie_over_the_file_and_the_file_over_the_preset() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("settings.toml");
+        fs::write(&file, "epochs = 3\nbatch = 32\n[network]\nwidth = 16\n").unwrap();
+        let args = TrainArgs {
+            config: Some(file),
+            seed: Some(5),
+            ..args(&["epochs=4", "network.activation=relu", "beta=2"])
+        };
+        let config = settings(&args, TrainingConfig::pouring()).unwrap();
+        let pouring = TrainingConfig::pouring();
+        let network = tcvae::model::NetworkConfig {
+            width: 16,
+            activation: tcvae::model::Activation::Relu,
+            ..pouring.network
+        };
+        let expected =
+            TrainingConfig { epochs: 4, batch: 32, seed: 5, beta: 2.0, network, ..pouring };
+        assert_eq!(config, expected);
+    }
+
+    #[test]
+    fn what_is_no_setting_is_wrong_usage() {
+        for set in ["epoch=3", "network.depth=3", "epochs=many", "epochs", "batch=0"] {
+            let error = settings(&args(&[set]), TrainingConfig::default()).unwrap_err();
+            assert_eq!(ExitStatus::of(&error), ExitStatus::WrongUsage, "{set}: {error}");
+        }
+    }
+
+    #[test]
+    fn the_setting_that_differs_is_named() {
+        let a = TrainingConfig::default();
+        let mut b = a.clone();
+        assert_eq!(first_difference(&a, &b), None);
+        b.network.width = 64;
+        assert_eq!(first_difference(&a, &b).unwrap(), "network.width");
+    }
+}
