@@ -14,16 +14,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use tcvae::artifact::{self, Artifact, DataSource, ModelDocument, RobotRecord};
+use tcvae::artifact::{self, Artifact, DataSource, ModelDocument};
 use tcvae::dataset;
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
+use tcvae::kinematics::RobotRecord;
 use tcvae::model::Backend;
 use tcvae::parameters::{Interval, MannerSpace, TaskLocation, TaskSpace};
 use tcvae::training::{
     self, Checkpoint, EpochReport, MeanTerms, Outcome, Progress, Trained, TrainingConfig,
 };
 
-use super::{ExitStatus, UsageError, print_json, print_line};
+use super::{ExitStatus, UsageError, evaluate, print_json, print_line};
 
 /// Manner parameters are bounded at this many standard deviations of the prior.
 const MANNER_BOUND: f64 = 3.0;
@@ -91,7 +92,12 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
         }
         Outcome::Finished(trained) => {
             saved?;
-            let artifact = source.artifact(&config, *trained)?;
+            let mut artifact = source.artifact(&config, *trained)?;
+            let Source { splits, digest, .. } = &source;
+            if !splits.test.is_empty() {
+                let evaluation = evaluate::measure(&artifact, splits, digest.clone(), config.seed)?;
+                artifact.document.evaluation = Some(evaluation);
+            }
             artifact.save(&files.model)?;
             // The model is whole: there is nothing left to resume.
             let _ = fs::remove_file(&files.checkpoint);
@@ -238,26 +244,26 @@ impl Source {
         }
     }
 
-    fn artifact(self, config: &TrainingConfig, trained: Trained) -> anyhow::Result<Artifact> {
+    fn artifact(&self, config: &TrainingConfig, trained: Trained) -> anyhow::Result<Artifact> {
         let Trained { model, normalizer, weights, latents, last_epoch } = trained;
-        let Self { task, splits, digest, data_source, task_space, state_names, .. } = self;
-        let tasks: Vec<_> = splits.train.iter().map(|d| d.w.values().to_vec()).collect();
+        let train = &self.splits.train;
+        let tasks: Vec<_> = train.iter().map(|d| d.w.values().to_vec()).collect();
         let document = ModelDocument {
             training: config.clone(),
             last_epoch,
             git_revision: env!("TCVAE_GIT_REVISION").into(),
-            data_digest: digest,
-            data_source,
-            training_demonstrations: splits.train.len(),
-            task_space,
+            data_digest: self.digest.clone(),
+            data_source: self.data_source,
+            training_demonstrations: train.len(),
+            task_space: self.task_space.clone(),
             manner_space: MannerSpace::unnamed(model.network.latents, MANNER_BOUND),
             latents,
-            state_names,
-            duration_secs: median_duration_secs(&splits.train),
+            state_names: self.state_names.clone(),
+            duration_secs: median_duration_secs(train),
             normalizer,
             state_reference_xyzw: self.state_reference_xyzw,
-            task,
-            robot: self.robot,
+            task: self.task.clone(),
+            robot: self.robot.clone(),
             evaluation: None,
             model,
         };
