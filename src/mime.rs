@@ -9,6 +9,8 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use sha2::{Digest, Sha256};
+
 use crate::demonstrations::recording::{Channels, GripperRecording, JointRecording};
 use crate::demonstrations::simulation::{MIME_JOINTS, RawDemonstration};
 
@@ -89,6 +91,8 @@ pub struct MimeRecording {
     pub stray_lines: usize,
     /// Lines that should have been a frame and were skipped.
     pub damaged: Vec<Problem>,
+    /// SHA-256 over the files, in hexadecimal digits.
+    pub digest: String,
 }
 
 /// The demonstrations at a path, in the order of their names: the folder itself, or the folders in
@@ -140,11 +144,19 @@ fn collect(path: &Path, levels: usize, found: &mut Vec<PathBuf>) -> Result<(), M
 /// # Errors
 /// A file can't be read; no gripper; no frame; or more than 1 % of the lines damaged.
 pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeError> {
+    let mut digest = Sha256::new();
+    let mut text = |file: &Path| {
+        let bytes =
+            std::fs::read(file).map_err(|source| MimeError::Io { path: file.into(), source })?;
+        digest.update(bytes.len().to_le_bytes());
+        digest.update(&bytes);
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    };
     let joints_file = folder.join(JOINTS_FILE);
-    let text = text(&joints_file)?;
+    let joints = text(&joints_file)?;
     let mut lines = Lines { file: joints_file, damaged: Vec::new(), stray: 0, total: 0 };
     let mut positions = Vec::new();
-    for (number, line) in numbered(&text) {
+    for (number, line) in numbered(&joints) {
         lines.total += 1;
         match frame(line, &channels.joints) {
             Ok(Some(frame)) => positions.push(frame),
@@ -171,7 +183,7 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
         if !file.exists() {
             continue;
         }
-        let text = self::text(&file)?;
+        let text = text(&file)?;
         let mut lines = Lines { file, damaged: Vec::new(), stray: 0, total: 0 };
         let mut values = Vec::new();
         for (number, line) in numbered(&text) {
@@ -212,7 +224,8 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
         positions,
         grippers,
     };
-    Ok(MimeRecording { recording, stray_lines, damaged })
+    let digest = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    Ok(MimeRecording { recording, stray_lines, damaged, digest })
 }
 
 /// The state of reading one file.
@@ -233,12 +246,6 @@ impl Lines {
         let tolerated = (MAX_DAMAGED_SHARE * self.total as f64) as usize;
         if self.damaged.len() > tolerated { std::mem::take(&mut self.damaged) } else { Vec::new() }
     }
-}
-
-fn text(path: &Path) -> Result<String, MimeError> {
-    let bytes =
-        std::fs::read(path).map_err(|source| MimeError::Io { path: path.into(), source })?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
 /// Lines that are not empty, numbered from 1.

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, evaluate, print_json, sample, simulate, train};
+use verbs::{ExitStatus, evaluate, inspect, print_json, sample, simulate, train};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -32,6 +32,8 @@ enum Verb {
     Sample(sample::SampleArgs),
     /// Measure a model on data that it was not trained on
     Evaluate(evaluate::EvaluateArgs),
+    /// Show what is in recordings, and why something is left out
+    Inspect(inspect::InspectArgs),
 }
 
 impl Verb {
@@ -41,6 +43,7 @@ impl Verb {
             Self::Train(args) => args.json,
             Self::Sample(args) => args.json,
             Self::Evaluate(args) => args.json,
+            Self::Inspect(args) => args.json,
         }
     }
 
@@ -50,6 +53,7 @@ impl Verb {
             Self::Train(args) => train::run(args),
             Self::Sample(args) => sample::run(args),
             Self::Evaluate(args) => evaluate::run(args),
+            Self::Inspect(args) => inspect::run(args),
         }
     }
 }

@@ -1,15 +1,18 @@
 //! Demonstrations, the tasks that they show, and what those tasks measure of a motion.
 
 pub mod arcs;
+pub mod augmentation;
 pub mod mirroring;
 pub mod pouring;
 pub mod recording;
 pub mod simulation;
 pub mod task;
 
+pub use crate::primitive::Demonstration;
 pub use task::{Task, TaskConfig, TaskMeasureError, Violation};
 
-pub use crate::primitive::Demonstration;
+use rand::Rng;
+use rand::seq::SliceRandom;
 
 /// Demonstrations in the three parts that learning needs: to fit, to choose, to report.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -20,4 +23,17 @@ pub struct Splits {
     pub validation: Vec<Demonstration>,
     /// What nobody looks at while choosing.
     pub test: Vec<Demonstration>,
+}
+
+impl Splits {
+    /// The paper's proportions of 208 demonstrations: 124 to train on, 42 to validate on and 42 to
+    /// test on, drawn at random. With fewer than five, everything is trained on.
+    pub fn random<R: Rng + ?Sized>(mut demonstrations: Vec<Demonstration>, rng: &mut R) -> Self {
+        demonstrations.shuffle(rng);
+        let count = demonstrations.len();
+        let held_out = if count < 5 { 0 } else { ((count * 42 + 104) / 208).max(1) };
+        let test = demonstrations.split_off(count - held_out);
+        let validation = demonstrations.split_off(count - 2 * held_out);
+        Self { train: demonstrations, validation, test }
+    }
 }

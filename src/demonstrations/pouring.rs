@@ -649,13 +649,13 @@ fn at_equal_times(states: &Trajectory, times_secs: &[f64], steps: usize) -> Traj
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
     /// A pour that rolls the hand about its direction (x): tilts are its angles. The hand moves
     /// along y with the step.
-    fn rolled(tilts_deg: &[f64], step_secs: f64) -> Motion {
+    pub(in crate::demonstrations) fn rolled(tilts_deg: &[f64], step_secs: f64) -> Motion {
         let upright = UnitQuaternion::from_euler_angles(0.0, -90_f64.to_radians(), 0.0);
         let pose = |(i, tilt): (usize, &f64)| {
             let roll = UnitQuaternion::from_euler_angles(tilt.to_radians(), 0.0, 0.0);
@@ -670,7 +670,7 @@ mod tests {
     }
 
     /// Up to `top` between steps 20 and 40 of 100, down between 60 and 80.
-    fn one_pour(top: f64) -> Vec<f64> {
+    pub(in crate::demonstrations) fn one_pour(top: f64) -> Vec<f64> {
         let at = |i: f64| ((i - 20.0) / 20.0).min((80.0 - i) / 20.0).clamp(0.0, 1.0);
         (0..100).map(|i| top * at(f64::from(i))).collect()
     }

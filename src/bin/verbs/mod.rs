@@ -1,8 +1,10 @@
 //! The program's verbs, one module each, and what they share.
 
 pub(crate) mod evaluate;
+pub(crate) mod inspect;
 pub(crate) mod sample;
 pub(crate) mod simulate;
+pub(crate) mod sources;
 pub(crate) mod train;
 
 use std::io::{self, Write};

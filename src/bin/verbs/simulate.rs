@@ -1,27 +1,38 @@
 //! `tcvae simulate`: demonstrations whose truth is known.
 
+use std::fs;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
+use rayon::prelude::*;
 use serde_json::json;
 
 use tcvae::dataset::{self, DataSetError};
 use tcvae::demonstrations::arcs::{self, ArcStart, ArcsSimulation};
+use tcvae::demonstrations::simulation::{PourSimulation, Truth, TruthFile};
+use tcvae::mime;
 
+use super::sources::load_robot;
 use super::{ExitStatus, Settings, UsageError, print_json, print_line};
 
 /// Fewest arcs, one for each of the ten shares of 8/1/1.
 const MIN_ARCS: usize = 10;
 /// Most arcs: about 2 GB of files.
 const MAX_ARCS: usize = 1_000_000;
+/// Most pours: about 7 GB of files.
+const MAX_POURS: usize = 10_000;
+/// What is true of simulated demonstrations; where it lies, they are simulated.
+pub(crate) const TRUTH_FILE: &str = "truth.json";
 
 /// What can be simulated.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Simulated {
     /// Arcs of a circle around a centre, the paper's synthetic task
     Arcs,
+    /// People who guide Baxter's arms in pouring, in the layout of MIME
+    Pouring,
 }
 
 /// Arguments of `tcvae simulate`.
@@ -33,11 +44,12 @@ pub(crate) struct SimulateArgs {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Demonstrations in all; arcs: 10000, of which one in ten is for validation and one in ten
-    /// for testing
+    /// for testing; pouring: 280, of which about a quarter must be left out
     #[arg(long)]
     count: Option<usize>,
     /// A setting; arcs: start=half|full (start angles in [0, pi] or all), steps=N (points of an
-    /// arc)
+    /// arc); pouring: correlation=R from 0 to below 1 (of the largest tilt with the time of the
+    /// pour; life-like is 0.88)
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
     /// Folder to write, new or empty
@@ -51,6 +63,7 @@ pub(crate) struct SimulateArgs {
 pub(crate) fn run(args: SimulateArgs) -> anyhow::Result<ExitStatus> {
     match args.what {
         Simulated::Arcs => simulate_arcs(&args),
+        Simulated::Pouring => simulate_pouring(&args),
     }
 }
 
@@ -92,6 +105,60 @@ fn simulate_arcs(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
         print_line(&format!(
             "{folder}: {count} arcs of {steps} points, seed {seed} \
              ({train} to train, {validation} to validate, {test} to test)"
+        ));
+    }
+    Ok(ExitStatus::Done)
+}
+
+fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
+    let SimulateArgs { what: _, seed, count, set, output, json } = args;
+    let default = PourSimulation::default();
+    let mut settings = Settings::new(set)?;
+    let correlation = settings.get(
+        "correlation",
+        default.correlation,
+        "a number from 0 to below 1",
+        |value| value.parse().ok().filter(|r| (0.0..1.0).contains(r)),
+    )?;
+    settings.finish()?;
+    let count = count.unwrap_or(default.count);
+    if !(1..=MAX_POURS).contains(&count) {
+        let reason = format!("--count {count}: 1 to {MAX_POURS} pours are simulated at once");
+        return Err(UsageError(reason).into());
+    }
+    let simulation = PourSimulation { count, seed: *seed, correlation };
+    let refused = |what: &dyn std::fmt::Display| {
+        UsageError(format!("{}: {what}; choose a new folder", output.display()))
+    };
+    fs::create_dir_all(output).map_err(|e| refused(&e))?;
+    if fs::read_dir(output).map_err(|e| refused(&e))?.next().is_some() {
+        return Err(refused(&"not empty").into());
+    }
+    let chain = load_robot(None)?.chain;
+    let write = |assignment| -> anyhow::Result<(Truth, usize)> {
+        let simulated = simulation.simulate(assignment, &chain)?;
+        mime::write(output, &simulated.raw).map_err(|e| UsageError(e.to_string()))?;
+        Ok((simulated.truth, simulated.redrawn))
+    };
+    let assignments = simulation.assignments()?;
+    let written: Vec<_> = assignments.par_iter().map(write).collect::<Result<_, _>>()?;
+    let redrawn: usize = written.iter().map(|(_, redrawn)| redrawn).sum();
+    let accepted = assignments.iter().filter(|a| a.trap.is_none()).count();
+    // Last, so that a folder with the truth is whole.
+    let truth = TruthFile { demonstrations: written.into_iter().map(|(truth, _)| truth).collect() };
+    let text = serde_json::to_string_pretty(&truth)? + "\n";
+    fs::write(output.join(TRUTH_FILE), text).map_err(|e| refused(&e))?;
+    if *json {
+        print_json(&json!({
+            "folder": output, "demonstrations": count, "accepted": accepted,
+            "excluded": count - accepted, "redrawn": redrawn, "correlation": correlation,
+            "seed": seed,
+        }));
+    } else {
+        let (folder, out) = (output.display(), count - accepted);
+        print_line(&format!(
+            "{folder}: {count} recordings, seed {seed}: {accepted} pours to learn from and {out} \
+             recordings to leave out ({redrawn} motions beyond the arm's reach were drawn anew)"
         ));
     }
     Ok(ExitStatus::Done)

@@ -1,0 +1,185 @@
+//! Where demonstrations come from: the robot, the task, and the recordings that a verb is given.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use rayon::prelude::*;
+
+use tcvae::config::{self, ConfigError, LoadedRobot};
+use tcvae::demonstrations::pouring::{PouringTask, Segment};
+use tcvae::demonstrations::recording::{Exclusion, Reason};
+use tcvae::demonstrations::{Demonstration, TaskConfig};
+use tcvae::{mime, urdf};
+
+use super::UsageError;
+
+/// The robot of a TOML file, with arms that fit its chain; Baxter without one.
+pub(crate) fn load_robot(path: Option<&Path>) -> anyhow::Result<LoadedRobot> {
+    let robot = config::robot(path, urdf::chain).map_err(usage)?;
+    let dof = robot.chain.dof();
+    for arm in robot.config.arms() {
+        let (joints, signs) = (arm.joints.len(), arm.mirror_signs.as_ref().map_or(dof, Vec::len));
+        if joints != dof || signs != dof {
+            let (robot, arm) = (&robot.config.name, &arm.name);
+            return Err(UsageError(format!(
+                "robot {robot}: the {arm} arm has {joints} joints and {signs} mirror_signs; {dof} \
+                 of each are needed"
+            ))
+            .into());
+        }
+    }
+    Ok(robot)
+}
+
+/// The task of a TOML file; pouring without one.
+pub(crate) fn load_task(path: Option<&Path>) -> anyhow::Result<TaskConfig> {
+    match path {
+        Some(path) => Ok(config::read(path).map_err(usage)?),
+        None => Ok(TaskConfig::Pouring(PouringTask::default())),
+    }
+}
+
+/// What is wrong with a file that somebody wrote is wrong usage.
+fn usage(error: ConfigError) -> UsageError {
+    UsageError(error.to_string())
+}
+
+/// Recordings, and which of them to use.
+#[derive(Debug, Args)]
+pub(crate) struct Recordings {
+    /// Folders of demonstrations in the layout of MIME, or folders of such folders
+    #[arg(required = true, value_name = "RECORDINGS")]
+    pub(crate) paths: Vec<PathBuf>,
+    /// The robot that was recorded; Baxter without it
+    #[arg(long, value_name = "F.toml")]
+    pub(crate) robot: Option<PathBuf>,
+    /// The task that was shown; pouring without it
+    #[arg(long, value_name = "F.toml")]
+    pub(crate) task: Option<PathBuf>,
+    /// Use only these demonstrations: numbers as `inspect` shows them, or ids, with commas
+    #[arg(long, value_name = "3,7", value_delimiter = ',')]
+    pub(crate) only: Vec<String>,
+    /// Leave these demonstrations out
+    #[arg(long, value_name = "3,7", value_delimiter = ',', conflicts_with = "only")]
+    pub(crate) exclude: Vec<String>,
+}
+
+/// What a recording turned out to be.
+#[derive(Debug, Clone)]
+pub(crate) struct Examined {
+    /// Name of the recording.
+    pub(crate) id: String,
+    /// Time from the first frame to the last; 0 where it can't be read.
+    pub(crate) duration_secs: f64,
+    /// Frames per second; 0 where it can't be read.
+    pub(crate) rate_hz: f64,
+    /// Lines that were skipped.
+    pub(crate) skipped_lines: usize,
+    /// SHA-256 over the files; empty where they can't be read.
+    #[expect(dead_code, reason = "training reads it")]
+    pub(crate) digest: String,
+    /// The demonstration, or why there is none.
+    pub(crate) outcome: Result<(Segment, Demonstration), Exclusion>,
+}
+
+/// Recordings that were looked at, with what they were looked at for.
+#[derive(Debug)]
+pub(crate) struct Examination {
+    #[expect(dead_code, reason = "training reads it")]
+    pub(crate) robot: LoadedRobot,
+    pub(crate) task: PouringTask,
+    pub(crate) recordings: Vec<Examined>,
+    /// Whether a simulator's truth lies beside any of the recordings.
+    pub(crate) synthetic: bool,
+}
+
+impl Recordings {
+    /// Reads all recordings and finds the demonstrations in them.
+    pub(crate) fn examine(&self) -> anyhow::Result<Examination> {
+        let robot = load_robot(self.robot.as_deref())?;
+        let task = match load_task(self.task.as_deref())? {
+            TaskConfig::Pouring(task) => task,
+            other => {
+                let name = other.task().name();
+                let reason = format!("the task {name} has no demonstrations in recordings");
+                return Err(UsageError(reason).into());
+            }
+        };
+        let mut folders = Vec::new();
+        for path in &self.paths {
+            folders.extend(mime::find(path)?);
+        }
+        let synthetic = folders.iter().any(|folder| {
+            let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.clone());
+            folder.parent().is_some_and(|task| task.join(super::simulate::TRUTH_FILE).is_file())
+        });
+        let ids = ids(&folders);
+        let user = self.left_out_by_user(&ids)?;
+        let channels = robot.config.channels();
+        let examine = |((folder, id), user): ((&PathBuf, String), bool)| {
+            let read = mime::read(folder, &channels);
+            let (mut duration_secs, mut rate_hz, mut skipped_lines) = (0.0, 0.0, 0);
+            let mut digest = String::new();
+            let outcome = match read {
+                Err(error) => Err(Exclusion::new(Reason::Unreadable, error.to_string())),
+                Ok(mut read) => {
+                    read.recording.id.clone_from(&id);
+                    duration_secs = read.recording.duration_secs();
+                    rate_hz = read.recording.rate_hz();
+                    skipped_lines = read.stray_lines + read.damaged.len();
+                    digest = read.digest;
+                    task.demonstration(&read.recording, &robot.config, &robot.chain)
+                }
+            };
+            let outcome = if user {
+                Err(Exclusion::new(Reason::User, "left out on the command line"))
+            } else {
+                outcome
+            };
+            Examined { id, duration_secs, rate_hz, skipped_lines, digest, outcome }
+        };
+        let work: Vec<_> = folders.iter().zip(ids).zip(user).collect();
+        let recordings = work.into_par_iter().map(examine).collect();
+        Ok(Examination { robot, task, recordings, synthetic })
+    }
+
+    /// Whether each recording is left out by `--only` or `--exclude`.
+    fn left_out_by_user(&self, ids: &[String]) -> anyhow::Result<Vec<bool>> {
+        let place = |name: &String| {
+            let by_id = ids.iter().position(|id| id == name);
+            let by_number = || {
+                let number: usize = name.parse().ok()?;
+                (1..=ids.len()).contains(&number).then(|| number - 1)
+            };
+            by_id.or_else(by_number).ok_or_else(|| {
+                let count = ids.len();
+                UsageError(format!("no demonstration {name:?}; there are {count}, counted from 1"))
+            })
+        };
+        let listed = |names: &[String]| names.iter().map(place).collect::<Result<HashSet<_>, _>>();
+        let (only, exclude) = (listed(&self.only)?, listed(&self.exclude)?);
+        let out = |i: usize| exclude.contains(&i) || !(only.is_empty() || only.contains(&i));
+        Ok((0..ids.len()).map(out).collect())
+    }
+}
+
+/// Names of the folders; those that stand twice with the folder above.
+fn ids(folders: &[PathBuf]) -> Vec<String> {
+    let name = |path: &Path| {
+        // The name of `.` is that of the folder it stands for.
+        let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        path.file_name()
+            .map_or_else(|| "demonstration".into(), |n| n.to_string_lossy().into_owned())
+    };
+    let mut count: BTreeMap<String, usize> = BTreeMap::new();
+    for folder in folders {
+        *count.entry(name(folder)).or_default() += 1;
+    }
+    let id = |folder: &PathBuf| {
+        let own = name(folder);
+        if count[&own] > 1 { folder.to_string_lossy().into_owned() } else { own }
+    };
+    folders.iter().map(id).collect()
+}
