@@ -17,6 +17,8 @@ pub struct Banner<'a> {
     pub description: &'a Description,
     /// The locations of the task.
     pub locations: &'a [TaskLocation],
+    /// A task to try, one `(x, y)` for each location.
+    pub example: &'a [[f64; 2]],
     /// Where the model comes from; empty for the built-in one.
     pub model_path: &'a str,
     /// Where the robot comes from; empty for the built-in one.
@@ -96,10 +98,9 @@ impl Banner<'_> {
         let mut commands =
             vec![format!("ros2 topic echo --once {} &", topic("~/joint_trajectory"))];
         let base = &self.frames.base;
-        commands
-            .extend(self.locations.iter().skip(1).map(|l| location_command(self.names, base, l)));
-        if let Some(goal) = self.locations.first() {
-            let [x, y] = middle(goal);
+        let examples = self.locations.iter().zip(self.example).skip(1);
+        commands.extend(examples.map(|(l, xy)| location_command(self.names, base, &l.name, *xy)));
+        if let Some([x, y]) = self.example.first() {
             commands.push(format!(
                 "ros2 topic pub --once {} geometry_msgs/msg/PoseStamped '{{header: {{frame_id: \
                  {base}}}, pose: {{position: {{x: {x:.2}, y: {y:.2}}}}}}}'",
@@ -114,19 +115,15 @@ impl Banner<'_> {
     }
 }
 
-/// The command that publishes a location of the task, amid its trained region.
-pub fn location_command(names: &NodeNames, base: &str, location: &TaskLocation) -> String {
-    let [x, y] = middle(location);
-    let topic = format!("~/{}", location.name);
+/// The command that publishes a location of the task.
+pub fn location_command(names: &NodeNames, base: &str, location: &str, xy: [f64; 2]) -> String {
+    let [x, y] = xy;
+    let topic = format!("~/{location}");
     format!(
         "ros2 topic pub --once {} geometry_msgs/msg/PointStamped \
          '{{header: {{frame_id: {base}}}, point: {{x: {x:.2}, y: {y:.2}}}}}'",
         names.topic(&topic).unwrap_or(topic),
     )
-}
-
-fn middle(location: &TaskLocation) -> [f64; 2] {
-    [location.x, location.y].map(|i| 0.5 * (i.lower + i.upper))
 }
 
 /// The stored scores, for a person.
@@ -197,6 +194,7 @@ mod tests {
         Banner {
             description: &description,
             locations: &[location("pour_location"), location("source_cup")],
+            example: &[[0.65, 0.3], [0.6, 0.1]],
             model_path: "",
             urdf_path: "my.urdf",
             frames: &Frames { base: "base".into(), tip: "left_gripper".into() },
@@ -217,7 +215,7 @@ mod tests {
             "scores  3 active latents, leak R2 0.040, 400 test cases",
             "manner  pour_duration: -3 to 3, +0.6 s above 70 degrees per unit (R2 0.91)",
             "ros2 topic pub --once /left/tcvae/source_cup geometry_msgs/msg/PointStamped \
-             '{header: {frame_id: base}, point: {x: 0.65, y: 0.30}}'",
+             '{header: {frame_id: base}, point: {x: 0.60, y: 0.10}}'",
             "ros2 topic pub --once /left/tcvae/goal_pose geometry_msgs/msg/PoseStamped \
              '{header: {frame_id: base}, pose: {position: {x: 0.65, y: 0.30}}}'",
             "ros2 param set /left/tcvae manner.pour_duration 1.0",

@@ -221,6 +221,7 @@ impl Shared {
         Banner {
             description: &state.server.describe(),
             locations: state.server.model().space().locations(),
+            example: &state.server.model().example_task(),
             model_path: state.model_path(),
             urdf_path: state.urdf_path(),
             frames: &self.frames,
@@ -389,14 +390,14 @@ impl Shared {
             _ => None,
         };
         match missing {
-            Some(location) => Refusal {
-                message: format!(
-                    "{}:\n  {}",
-                    refusal.message,
-                    location_command(&self.names, &self.frames.base, location)
-                ),
-                ..refusal
-            },
+            Some(location) => {
+                let model = server.model();
+                let index = model.space().location_index(&location.name).unwrap_or_default();
+                let example = model.example_task()[index];
+                let base = &self.frames.base;
+                let command = location_command(&self.names, base, &location.name, example);
+                Refusal { message: format!("{}:\n  {command}", refusal.message), ..refusal }
+            }
             None => refusal,
         }
     }

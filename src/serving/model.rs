@@ -2,7 +2,7 @@
 
 use crate::demonstrations::Task;
 use crate::kinematics::{Chain, RobotRecord};
-use crate::parameters::TaskSpace;
+use crate::parameters::{Interval, TaskSpace};
 use crate::pose::StateFrame;
 use crate::primitive::MannerConditioned;
 use crate::serving::Familiarity;
@@ -34,6 +34,18 @@ impl ServedModel {
     /// What the task parameters are.
     pub fn space(&self) -> &TaskSpace {
         self.primitive.task_space()
+    }
+
+    /// A task to try the model with, one `(x, y)` for each location: the most typical training
+    /// task, or the middle of the trained region where the model has none.
+    pub fn example_task(&self) -> Vec<[f64; 2]> {
+        match self.familiarity.most_typical_task() {
+            Some(w) => w.chunks(2).map(|xy| [xy[0], xy[1]]).collect(),
+            None => {
+                let middle = |i: Interval| 0.5 * (i.lower + i.upper);
+                self.space().locations().iter().map(|l| [l.x, l.y].map(middle)).collect()
+            }
+        }
     }
 }
 
