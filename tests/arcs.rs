@@ -118,3 +118,78 @@ fn what_cannot_be_evaluated_is_bad_data_with_exit_code_3_and_still_an_answer() {
         assert!(stderr(&output).contains(message));
     }
 }
+
+/// Trains a small model on the arcs in `data` for a few epochs.
+fn train_briefly(folder: &Path, model: &str) -> Output {
+    let set =
+        ["epochs=20", "batch=16", "network.width=16", "learning_rate=5e-3", "alpha=1", "beta=0.5"];
+    let mut args = vec!["train", "data", "--seed", "3", "-o", model];
+    args.extend(set.iter().flat_map(|s| ["--set", s]));
+    tcvae(&args, folder)
+}
+
+#[test]
+fn arcs_are_simulated_trained_on_and_evaluated_by_one_seed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let simulate = ["simulate", "arcs", "--count", "400", "-o", "data"];
+    assert_eq!(tcvae(&simulate, folder).status.code(), Some(0));
+    for model in ["a/model.safetensors", "b/model.safetensors"] {
+        let output = train_briefly(folder, model);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    }
+    let read = |name: &str| fs::read(folder.join(name)).unwrap();
+    assert_eq!(read("a/model.safetensors"), read("b/model.safetensors"));
+
+    let evaluate = |more: &[&str]| {
+        let args = [&["evaluate", "a/model.safetensors", "--data", "data"], more].concat();
+        let output = tcvae(&args, folder);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        stdout(&output)
+    };
+    let text = evaluate(&["--json"]);
+    assert_eq!(text, evaluate(&["--json"]));
+    let answer: Value = serde_json::from_str(&text).unwrap();
+    let keys: Vec<&String> = answer.as_object().unwrap().keys().collect();
+    assert_eq!(
+        keys,
+        [
+            "active_latents",
+            "cases",
+            "data_digest",
+            "leak_r2",
+            "model_id",
+            "reconstruction_rmse",
+            "robust_and_valid",
+            "robustness",
+            "seed",
+            "success",
+            "swap"
+        ]
+    );
+    assert_eq!((&answer["cases"], &answer["seed"]), (&40.into(), &0.into()));
+    for measure in ["success", "robustness", "robust_and_valid"] {
+        let scores = answer[measure].as_array().unwrap();
+        let thresholds: Vec<f64> =
+            scores.iter().map(|s| s["threshold"].as_f64().unwrap()).collect();
+        assert_eq!(thresholds, [0.025, 0.05, 0.1]);
+    }
+    // Even so little training reconstructs better than the data's mean, whose error is 0.39.
+    assert!(answer["reconstruction_rmse"].as_f64().unwrap() < 0.25, "{text}");
+
+    // The model file holds the same evaluation, and another seed draws other samples.
+    let artifact = tcvae::artifact::Artifact::load(&folder.join("a/model.safetensors")).unwrap();
+    let stored = serde_json::to_value(artifact.document.evaluation.unwrap()).unwrap();
+    assert_eq!(stored, answer);
+    let other: Value = serde_json::from_str(&evaluate(&["--json", "--seed", "1"])).unwrap();
+    assert_eq!(other["success"], answer["success"]);
+    assert_ne!(other["robust_and_valid"], answer["robust_and_valid"]);
+    let effects = artifact.document.manner_space.axes().iter().map(|a| a.effect.as_str());
+    assert!(effects.clone().all(|e| e != "not measured"), "{:?}", effects.collect::<Vec<_>>());
+
+    // A person reads every measure.
+    let table = evaluate(&[]);
+    for line in ["success", "robustness", "robust and valid", "active latents", "leak", "swap"] {
+        assert!(table.lines().any(|l| l.starts_with(line)), "{table}");
+    }
+}

@@ -5,14 +5,20 @@ use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use clap::Args;
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 
 use tcvae::artifact::{Artifact, ModelDocument};
 use tcvae::dataset;
 use tcvae::demonstrations::Splits;
+use tcvae::evaluation::manner::{described, manner_effects};
 use tcvae::evaluation::{self, Evaluation, EvaluationOptions, Score};
 use tcvae::model::{Backend, Recogniser};
 
 use super::{ExitStatus, print_json, print_line};
+
+/// Seed of an evaluation where none is given.
+const DEFAULT_SEED: u64 = 0;
 
 /// Arguments of `tcvae evaluate`.
 #[derive(Debug, Args)]
@@ -23,7 +29,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
     /// Seed of every random draw of the evaluation
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// Print the answer as JSON
     #[arg(long)]
@@ -69,6 +75,29 @@ pub(crate) fn measure(
     let task = task.task();
     let evaluation = evaluation::evaluate(&primitive, &recogniser, task, splits, &options)?;
     Ok(Evaluation { model_id: artifact.model_id(), data_digest, ..evaluation })
+}
+
+/// Adds to a freshly trained model what each of its manner parameters does, and the evaluation by
+/// the seed that `tcvae evaluate` takes when none is given.
+///
+/// # Errors
+/// Too few demonstrations to evaluate on.
+pub(crate) fn add_measures(
+    artifact: &mut Artifact,
+    splits: &Splits,
+    data_digest: String,
+) -> anyhow::Result<()> {
+    let ModelDocument { task, duration_secs, latents, manner_space, .. } = &artifact.document;
+    let active: Vec<bool> =
+        latents.iter().map(|latent| latent.kl > evaluation::ACTIVE_KL_NATS).collect();
+    let tasks: Vec<_> = splits.train.iter().map(|d| d.w.clone()).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(DEFAULT_SEED);
+    let effects =
+        manner_effects(&artifact.primitive(), task.task(), &tasks, *duration_secs, &mut rng);
+    artifact.document.manner_space = described(manner_space, &effects, &active);
+    let evaluation = measure(artifact, splits, data_digest, DEFAULT_SEED)?;
+    artifact.document.evaluation = Some(evaluation);
+    Ok(())
 }
 
 /// The evaluation as a person reads it: never one of the two metrics without its companions.

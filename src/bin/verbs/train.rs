@@ -94,9 +94,9 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
             saved?;
             let mut artifact = source.artifact(&config, *trained)?;
             let Source { splits, digest, .. } = &source;
-            if !splits.test.is_empty() {
-                let evaluation = evaluate::measure(&artifact, splits, digest.clone(), config.seed)?;
-                artifact.document.evaluation = Some(evaluation);
+            // What was learned is kept even where it can't be measured.
+            if let Err(error) = evaluate::add_measures(&mut artifact, splits, digest.clone()) {
+                eprintln!("the model is saved without an evaluation: {error}");
             }
             artifact.save(&files.model)?;
             // The model is whole: there is nothing left to resume.
