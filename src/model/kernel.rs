@@ -4,8 +4,9 @@
 //! to three input rows (a convolution's taps) with their weights, then the activation, then the
 //! residual connection, all in registers. The weights lie in panels of two vectors' width, so the
 //! inner loop reads them in one stream. `pulp` picks the widest instructions of the machine.
-
-use std::array;
+//!
+//! Vectors never pass through a closure: a closure is compiled without the machine's features, and
+//! each instruction in it becomes a call, which made everything five times slower.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -149,31 +150,38 @@ impl Layer<'_> {
         let PackedWeights { taps, inputs, outputs, panels } = self.weights;
         let (taps, inputs, outputs) = (*taps, *inputs, *outputs);
         let width = 2 * S::F32_LANES;
-        let starts: [usize; ROWS] =
-            array::from_fn(|m| self.edges.map_or(0, |edges| edges.start(row + m)) * outputs);
         let (panels, _) = S::as_simd_f32s(panels);
         for (panel, column) in
             panels.chunks_exact(2 * taps * inputs).zip((0..outputs).step_by(width))
         {
-            let mut sums: [[S::f32s; 2]; ROWS] =
-                array::from_fn(|m| pair::<S>(&self.start[starts[m] + column..][..width]));
+            let mut sums = [[simd.splat_f32s(0.0); 2]; ROWS];
+            for (m, sums) in sums.iter_mut().enumerate() {
+                let start = match self.edges {
+                    Some(edges) => edges.start(row + m) * outputs,
+                    None => 0,
+                };
+                *sums = pair::<S>(&self.start[start + column..][..width]);
+            }
             for tap in 0..taps {
                 let first = (row + tap * self.tap_rows) * self.x_stride;
-                let x: [&[f32]; ROWS] =
-                    array::from_fn(|m| &self.x[first + m * self.x_stride..][..inputs]);
+                let mut x: [&[f32]; ROWS] = [&[]; ROWS];
+                for (m, x) in x.iter_mut().enumerate() {
+                    *x = &self.x[first + m * self.x_stride..][..inputs];
+                }
                 let panel = &panel[2 * tap * inputs..][..2 * inputs];
                 for k in 0..inputs {
                     let w = [panel[2 * k], panel[2 * k + 1]];
-                    for (sums, x) in sums.iter_mut().zip(x) {
-                        let x = simd.splat_f32s(x[k]);
-                        sums[0] = simd.mul_add_f32s(x, w[0], sums[0]);
-                        sums[1] = simd.mul_add_f32s(x, w[1], sums[1]);
+                    for m in 0..ROWS {
+                        let x = simd.splat_f32s(x[m][k]);
+                        sums[m][0] = simd.mul_add_f32s(x, w[0], sums[m][0]);
+                        sums[m][1] = simd.mul_add_f32s(x, w[1], sums[m][1]);
                     }
                 }
             }
             for (m, mut sums) in sums.into_iter().enumerate() {
                 if let Some(activation) = self.activation {
-                    sums = sums.map(|x| activate(simd, activation, x));
+                    sums[0] = activate(simd, activation, sums[0]);
+                    sums[1] = activate(simd, activation, sums[1]);
                 }
                 if self.residual {
                     let middle = (row + m + self.tap_rows) * self.x_stride + column;
@@ -232,17 +240,19 @@ fn gelu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let limit = simd.splat_f32s(ERF_RANGE);
     let clamped = simd.max_f32s(simd.min_f32s(x, limit), simd.neg_f32s(limit));
     let u = simd.mul_f32s(clamped, clamped);
-    let horner = |coefficients: [f32; 6]| {
-        let mut value = simd.splat_f32s(coefficients[5]);
-        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[4]));
-        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[3]));
-        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[2]));
-        value = simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[1]));
-        simd.mul_add_f32s(value, u, simd.splat_f32s(coefficients[0]))
-    };
-    let erf = simd.div_f32s(simd.mul_f32s(clamped, horner(ERF_P)), horner(ERF_Q));
+    let (p, q) = (polynomial(simd, ERF_P, u), polynomial(simd, ERF_Q, u));
+    let erf = simd.div_f32s(simd.mul_f32s(clamped, p), q);
     let half = simd.mul_f32s(x, simd.splat_f32s(0.5));
     simd.mul_add_f32s(half, erf, half)
+}
+
+#[inline(always)]
+fn polynomial<S: Simd>(simd: S, coefficients: [f32; 6], x: S::f32s) -> S::f32s {
+    let mut value = simd.splat_f32s(coefficients[5]);
+    for i in (0..5).rev() {
+        value = simd.mul_add_f32s(value, x, simd.splat_f32s(coefficients[i]));
+    }
+    value
 }
 
 #[cfg(test)]
