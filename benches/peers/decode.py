@@ -4,7 +4,7 @@ The ONNX graph is written by hand in the form that is best for it: what h and w 
 once for a sequence, as in our decoder, and the convolutions are `Conv` nodes. Both run on one
 thread. Rounds alternate between the two programs, so that a busy machine slows both.
 
-    pip install numpy onnx==1.23.0 onnxruntime==1.31.0 safetensors
+    pip install numpy onnx==1.23.2 onnxruntime==1.31.1 safetensors
     python benches/peers/decode.py [--seconds 1] [--rounds 7]
 """
 

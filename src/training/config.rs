@@ -27,8 +27,8 @@ pub struct TrainingConfig {
     pub final_learning_rate_share: f64,
     /// Factor of the KL divergence (eq. 5).
     pub beta: f64,
-    /// Factor of the adversary's loss in the model's objective (eq. 14); 0 is the paper's row
-    /// without auxiliary loss.
+    /// Factor of the adversary's loss, summed over the values of w, in the model's objective
+    /// (eq. 14); 0 is the paper's row without auxiliary loss.
     pub alpha: f64,
     /// Epochs over which alpha grows from 0.
     pub alpha_ramp_epochs: usize,
@@ -66,7 +66,7 @@ impl Default for TrainingConfig {
             learning_rate: 2e-3,
             final_learning_rate_share: 0.01,
             beta: 4.0,
-            alpha: 100.0,
+            alpha: 50.0,
             alpha_ramp_epochs: 20,
             network: NetworkConfig::default(),
             adversary: AdversaryConfig::default(),
