@@ -11,6 +11,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::Demonstration;
+use super::augmentation::Augmentation;
 use super::recording::{ArmRecording, Exclusion, JointRecording, Reason, RobotConfig};
 use super::task::{Factor, Task, TaskMeasureError, Violation};
 use crate::kinematics::Chain;
@@ -41,6 +42,8 @@ pub struct PouringTask {
     /// What a motion must be like to be a valid pour. Of recordings, only those that leave the
     /// workspace are excluded for it.
     pub validity: PourBounds,
+    /// How demonstrations are multiplied before training.
+    pub augmentation: Augmentation,
 }
 
 /// What a recording must be like to be read as a demonstration.
@@ -139,6 +142,7 @@ impl Default for PouringTask {
             reference_rpy_deg: [0.0, -90.0, 160.0],
             recording: RecordingRules::default(),
             validity: PourBounds::default(),
+            augmentation: Augmentation::default(),
         }
     }
 }

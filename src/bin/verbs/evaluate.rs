@@ -9,12 +9,12 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
 use tcvae::artifact::{Artifact, ModelDocument};
-use tcvae::dataset;
 use tcvae::demonstrations::Splits;
 use tcvae::evaluation::manner::{described, manner_effects};
 use tcvae::evaluation::{self, Evaluation, EvaluationOptions, Score};
 use tcvae::model::{Backend, Recogniser};
 
+use super::sources::Recordings;
 use super::{ExitStatus, print_json, print_line};
 
 /// Seed of an evaluation where none is given.
@@ -25,9 +25,13 @@ const DEFAULT_SEED: u64 = 0;
 pub(crate) struct EvaluateArgs {
     /// Model file
     model: PathBuf,
-    /// Folder with the data, such as `tcvae simulate` writes
+    /// Folder with the data, such as `tcvae simulate` writes; a fifth of the demonstrations in
+    /// recordings is tested on, the same fifth that a training on them holds out
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
+    /// The robot that was recorded; Baxter without it
+    #[arg(long, value_name = "F.toml")]
+    robot: Option<PathBuf>,
     /// Seed of every random draw of the evaluation
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
@@ -37,9 +41,10 @@ pub(crate) struct EvaluateArgs {
 }
 
 pub(crate) fn run(args: EvaluateArgs) -> anyhow::Result<ExitStatus> {
-    let EvaluateArgs { model, data, seed, json } = args;
+    let EvaluateArgs { model, data, robot, seed, json } = args;
     let artifact = Artifact::load(&model).with_context(|| model.display().to_string())?;
-    let data = dataset::load(&data)?;
+    let recordings = Recordings { paths: vec![data], robot, ..Recordings::default() };
+    let data = recordings.data(Some(&artifact.document.task))?;
     let (of_model, of_data) = (artifact.document.task.task().name(), data.task.task().name());
     ensure!(
         of_model == of_data,

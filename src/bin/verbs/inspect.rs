@@ -1,7 +1,5 @@
 //! `tcvae inspect`: what is in recordings, and why something is left out.
 
-use std::collections::BTreeMap;
-
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -54,14 +52,14 @@ fn answer(examination: &Examination) -> Value {
         value
     };
     let demonstrations: Vec<_> = examination.recordings.iter().map(demonstration).collect();
-    let summary = Summary::of(examination);
+    let counts = examination.counts();
     json!({
         "demonstrations": demonstrations,
         "summary": {
             "recordings": examination.recordings.len(),
-            "accepted": summary.accepted,
-            "excluded": summary.excluded,
-            "arms": summary.arms,
+            "accepted": counts.accepted,
+            "excluded": counts.excluded,
+            "arms": counts.arms,
             "synthetic": examination.synthetic,
         },
     })
@@ -83,29 +81,6 @@ fn detail(examination: &Examination, recording: &Examined) -> String {
             let list: Vec<_> = violations.iter().map(ToString::to_string).collect();
             list.join("; ")
         }
-    }
-}
-
-/// What the recordings hold in all.
-struct Summary {
-    accepted: usize,
-    excluded: BTreeMap<String, usize>,
-    arms: BTreeMap<String, usize>,
-}
-
-impl Summary {
-    fn of(examination: &Examination) -> Self {
-        let mut summary = Self { accepted: 0, excluded: BTreeMap::new(), arms: BTreeMap::new() };
-        for recording in &examination.recordings {
-            match &recording.outcome {
-                Ok((segment, _)) => {
-                    summary.accepted += 1;
-                    *summary.arms.entry(segment.arm.clone()).or_default() += 1;
-                }
-                Err(e) => *summary.excluded.entry(e.reason.to_string()).or_default() += 1,
-            }
-        }
-        summary
     }
 }
 
@@ -159,22 +134,9 @@ fn print_table(examination: &Examination) {
             .trim_end(),
         );
     }
-    let Summary { accepted, excluded, arms } = Summary::of(examination);
-    let list = |counts: &BTreeMap<String, usize>| {
-        let counts: Vec<_> = counts.iter().map(|(name, n)| format!("{n} {name}")).collect();
-        counts.join(", ")
-    };
-    let count = examination.recordings.len();
-    let arms = if accepted > 0 { format!(" ({})", list(&arms)) } else { String::new() };
-    print_line(&format!("\n{accepted} of {count} recordings accepted{arms}"));
-    if !excluded.is_empty() {
-        print_line(&format!("left out: {}", list(&excluded)));
-    }
     let skipped: usize = examination.recordings.iter().map(|r| r.skipped_lines).sum();
+    print_line(&format!("\n{}", examination.summary()));
     if skipped > 0 {
         print_line(&format!("{skipped} lines that are no frame were skipped"));
-    }
-    if examination.synthetic {
-        print_line("a truth.json lies beside the recordings: they are synthetic");
     }
 }

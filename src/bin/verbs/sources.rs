@@ -1,17 +1,26 @@
 //! Where demonstrations come from: the robot, the task, and the recordings that a verb is given.
 
 use std::collections::{BTreeMap, HashSet};
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use rayon::prelude::*;
+use sha2::{Digest, Sha256};
 
+use tcvae::artifact::DataSource;
 use tcvae::config::{self, ConfigError, LoadedRobot};
+use tcvae::demonstrations::augmentation::AugmentationReport;
 use tcvae::demonstrations::pouring::{PouringTask, Segment};
 use tcvae::demonstrations::recording::{Exclusion, Reason};
-use tcvae::demonstrations::{Demonstration, TaskConfig};
-use tcvae::{mime, urdf};
+use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
+use tcvae::kinematics::RobotRecord;
+use tcvae::kinematics::following::{FollowOptions, follow};
+use tcvae::trajectory::Motion;
+use tcvae::{dataset, mime, urdf};
 
 use super::UsageError;
 
@@ -47,9 +56,10 @@ fn usage(error: ConfigError) -> UsageError {
 }
 
 /// Recordings, and which of them to use.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 pub(crate) struct Recordings {
-    /// Folders of demonstrations in the layout of MIME, or folders of such folders
+    /// Folders of demonstrations in the layout of MIME, or folders of such folders; for training
+    /// also a data set that `tcvae simulate arcs` wrote
     #[arg(required = true, value_name = "RECORDINGS")]
     pub(crate) paths: Vec<PathBuf>,
     /// The robot that was recorded; Baxter without it
@@ -78,7 +88,6 @@ pub(crate) struct Examined {
     /// Lines that were skipped.
     pub(crate) skipped_lines: usize,
     /// SHA-256 over the files; empty where they can't be read.
-    #[expect(dead_code, reason = "training reads it")]
     pub(crate) digest: String,
     /// The demonstration, or why there is none.
     pub(crate) outcome: Result<(Segment, Demonstration), Exclusion>,
@@ -87,7 +96,6 @@ pub(crate) struct Examined {
 /// Recordings that were looked at, with what they were looked at for.
 #[derive(Debug)]
 pub(crate) struct Examination {
-    #[expect(dead_code, reason = "training reads it")]
     pub(crate) robot: LoadedRobot,
     pub(crate) task: PouringTask,
     pub(crate) recordings: Vec<Examined>,
@@ -98,8 +106,12 @@ pub(crate) struct Examination {
 impl Recordings {
     /// Reads all recordings and finds the demonstrations in them.
     pub(crate) fn examine(&self) -> anyhow::Result<Examination> {
+        self.examine_for(load_task(self.task.as_deref())?)
+    }
+
+    fn examine_for(&self, task: TaskConfig) -> anyhow::Result<Examination> {
         let robot = load_robot(self.robot.as_deref())?;
-        let task = match load_task(self.task.as_deref())? {
+        let task = match task {
             TaskConfig::Pouring(task) => task,
             other => {
                 let name = other.task().name();
@@ -145,6 +157,30 @@ impl Recordings {
         Ok(Examination { robot, task, recordings, synthetic })
     }
 
+    /// The demonstrations, split and multiplied, to train or to evaluate on: those of a data set
+    /// that `tcvae simulate arcs` wrote, or those in recordings, for `task` where it is given.
+    pub(crate) fn data(&self, task: Option<&TaskConfig>) -> anyhow::Result<Data> {
+        match self.paths.as_slice() {
+            [path] if dataset::is_data_set(path) => {
+                let dataset::DataSet { task, splits, digest } = dataset::load(path)?;
+                let summary = format!("{}: a data set of simulated arcs", path.display());
+                let source = DataSource::Synthetic;
+                Ok(Data { task, splits, digest, source, robot: None, summary })
+            }
+            paths => {
+                if let Some(path) = paths.iter().find(|path| dataset::is_data_set(path)) {
+                    let path = path.display();
+                    return Err(UsageError(format!("{path} is a data set; name it alone")).into());
+                }
+                let task = match task {
+                    Some(task) => task.clone(),
+                    None => load_task(self.task.as_deref())?,
+                };
+                Ok(self.examine_for(task)?.data())
+            }
+        }
+    }
+
     /// Whether each recording is left out by `--only` or `--exclude`.
     fn left_out_by_user(&self, ids: &[String]) -> anyhow::Result<Vec<bool>> {
         let place = |name: &String| {
@@ -163,6 +199,127 @@ impl Recordings {
         let out = |i: usize| exclude.contains(&i) || !(only.is_empty() || only.contains(&i));
         Ok((0..ids.len()).map(out).collect())
     }
+}
+
+/// The seed of the split and of augmentation. It is not that of a training: what is held out to
+/// test on must be the same for every training on the same data.
+const SPLIT_SEED: u64 = 0;
+
+/// Fewer demonstrations than this are few: what is measured on a fifth of them says little.
+const FEW_DEMONSTRATIONS: usize = 50;
+
+/// Demonstrations to train or to evaluate on.
+#[derive(Debug)]
+pub(crate) struct Data {
+    pub(crate) task: TaskConfig,
+    pub(crate) splits: Splits,
+    /// SHA-256 over what was read and how it was used, in hexadecimal digits.
+    pub(crate) digest: String,
+    pub(crate) source: DataSource,
+    /// The robot; none where states are no poses.
+    pub(crate) robot: Option<RobotRecord>,
+    /// What a person reads about it.
+    pub(crate) summary: String,
+}
+
+impl Examination {
+    /// Splits the accepted demonstrations and multiplies those to train and to validate on. Copies
+    /// that the arm can't follow are drawn anew.
+    fn data(self) -> Data {
+        let summary = self.summary();
+        let Self { robot, task, recordings, synthetic } = self;
+        let mut digest = Sha256::new();
+        let mut demonstrations = Vec::new();
+        for Examined { id, digest: of_files, outcome, .. } in recordings {
+            if let Ok((_, demonstration)) = outcome {
+                digest.update(format!("{id} {of_files}\n"));
+                demonstrations.push(demonstration);
+            }
+        }
+        digest.update(serde_json::to_string(&task).expect("a task is JSON"));
+        let mut rng = ChaCha8Rng::seed_from_u64(SPLIT_SEED);
+        let few = demonstrations.len() < FEW_DEMONSTRATIONS;
+        let count = demonstrations.len();
+        let mut splits = Splits::random(demonstrations, &mut rng);
+        let parts = [&splits.train, &splits.validation, &splits.test].map(Vec::len);
+        let within_reach = |motion: &Motion, rng: &mut ChaCha8Rng| {
+            let poses = task.state_frame().poses(&motion.states);
+            follow(&robot.chain, &poses, motion.step_secs(), &FollowOptions::default(), rng).is_ok()
+        };
+        let AugmentationReport { made, failed, .. } =
+            task.augmentation.augment(&task, &mut splits, within_reach, &mut rng);
+        let [train, validation, test] = parts;
+        let mut summary = format!(
+            "{summary}\n{train} to train on, {validation} to validate on and {test} to test on; \
+             with {made} copies {} and {}",
+            splits.train.len(),
+            splits.validation.len()
+        );
+        if failed > 0 {
+            let _ = write!(summary, "; {failed} more copies found no place within the arm's reach");
+        }
+        if few {
+            let _ = write!(
+                summary,
+                "\nwarning: {count} demonstrations are few; with fewer than {FEW_DEMONSTRATIONS} \
+                 the measured quality says little. Record more"
+            );
+        }
+        Data {
+            robot: Some(RobotRecord::new(&robot.config.name, &robot.chain, robot.urdf_sha256)),
+            task: TaskConfig::Pouring(task),
+            splits,
+            digest: digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect(),
+            source: if synthetic { DataSource::Synthetic } else { DataSource::Recorded },
+            summary,
+        }
+    }
+
+    /// How many recordings are demonstrations, and why the others are none.
+    pub(crate) fn summary(&self) -> String {
+        let counts = self.counts();
+        let list = |counts: &BTreeMap<String, usize>| {
+            let counts: Vec<_> = counts.iter().map(|(name, n)| format!("{n} {name}")).collect();
+            counts.join(", ")
+        };
+        let Counts { accepted, excluded, arms } = &counts;
+        let mut summary = format!("{accepted} of {} recordings accepted", self.recordings.len());
+        if !arms.is_empty() {
+            let _ = write!(summary, " ({})", list(arms));
+        }
+        if !excluded.is_empty() {
+            let _ = write!(summary, "\nleft out: {}", list(excluded));
+        }
+        if self.synthetic {
+            summary.push_str("\na truth.json lies beside the recordings: they are synthetic");
+        }
+        summary
+    }
+
+    /// How many recordings are what.
+    pub(crate) fn counts(&self) -> Counts {
+        let mut counts = Counts::default();
+        for recording in &self.recordings {
+            match &recording.outcome {
+                Ok((segment, _)) => {
+                    counts.accepted += 1;
+                    *counts.arms.entry(segment.arm.clone()).or_default() += 1;
+                }
+                Err(e) => *counts.excluded.entry(e.reason.to_string()).or_default() += 1,
+            }
+        }
+        counts
+    }
+}
+
+/// How many recordings are what.
+#[derive(Debug, Default)]
+pub(crate) struct Counts {
+    pub(crate) accepted: usize,
+    /// By reason.
+    pub(crate) excluded: BTreeMap<String, usize>,
+    /// Accepted ones by arm.
+    pub(crate) arms: BTreeMap<String, usize>,
 }
 
 /// Names of the folders; those that stand twice with the folder above.

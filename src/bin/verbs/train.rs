@@ -15,15 +15,17 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use tcvae::artifact::{self, Artifact, DataSource, ModelDocument};
-use tcvae::dataset;
+use tcvae::demonstrations::arcs::ArcsTask;
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::kinematics::RobotRecord;
 use tcvae::model::Backend;
 use tcvae::parameters::{Interval, MannerSpace, TaskLocation, TaskSpace};
+use tcvae::pose::STATE_NAMES;
 use tcvae::training::{
     self, Checkpoint, EpochReport, MeanTerms, Outcome, Progress, Trained, TrainingConfig,
 };
 
+use super::sources::{Data, Recordings};
 use super::{ExitStatus, UsageError, evaluate, print_json, print_line};
 
 /// Manner parameters are bounded at this many standard deviations of the prior.
@@ -34,9 +36,8 @@ const CHECKPOINT: &str = "checkpoint";
 /// Arguments of `tcvae train`.
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
-    /// Folder with demonstrations, such as `tcvae simulate` writes
-    #[arg(required = true, value_name = "RECORDINGS")]
-    recordings: Vec<PathBuf>,
+    #[command(flatten)]
+    recordings: Recordings,
     /// Model file to write
     #[arg(short, long, value_name = "MODEL")]
     output: PathBuf,
@@ -213,27 +214,25 @@ struct Source {
 }
 
 impl Source {
-    fn load(paths: &[PathBuf]) -> anyhow::Result<Self> {
-        let [path] = paths else {
-            let count = paths.len();
-            return Err(UsageError(format!("{count} folders; a data set is one folder")).into());
-        };
-        let dataset::DataSet { task, splits, digest } = dataset::load(path)?;
-        let TaskConfig::Arcs(_) = task else {
-            bail!("{}: a data set of {}, not of arcs", path.display(), task.task().name());
+    fn load(recordings: &Recordings) -> anyhow::Result<Self> {
+        let Data { task, splits, digest, source, robot, summary } = recordings.data(None)?;
+        eprintln!("{summary}");
+        let (space, state_names, reference) = match &task {
+            TaskConfig::Pouring(task) => {
+                let names = STATE_NAMES.map(String::from).to_vec();
+                (task.task_space(), names, Some(task.state_frame().reference))
+            }
+            _ => (ArcsTask::task_space(), vec!["x".into(), "y".into()], None),
         };
         Ok(Self {
-            task_space: trained_region(
-                &tcvae::demonstrations::arcs::ArcsTask::task_space(),
-                &splits.train,
-            ),
+            task_space: trained_region(&space, &splits.train),
             task,
             splits,
             digest,
-            data_source: DataSource::Synthetic,
-            state_names: vec!["x".into(), "y".into()],
-            state_reference_xyzw: None,
-            robot: None,
+            data_source: source,
+            state_names,
+            state_reference_xyzw: reference.map(|q| [q.i, q.j, q.k, q.w]),
+            robot,
         })
     }
 
@@ -564,7 +563,7 @@ mod tests {
 
     fn args(set: &[&str]) -> TrainArgs {
         TrainArgs {
-            recordings: Vec::new(),
+            recordings: Recordings::default(),
             output: "model.safetensors".into(),
             config: None,
             set: set.iter().map(|s| s.to_string()).collect(),
