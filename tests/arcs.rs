@@ -6,6 +6,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use tcvae::artifact::Artifact;
+use tcvae::evaluation::{Evaluation, Score};
 
 fn tcvae(args: &[&str], folder: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_tcvae"))
@@ -178,7 +180,7 @@ fn arcs_are_simulated_trained_on_and_evaluated_by_one_seed() {
     assert!(answer["reconstruction_rmse"].as_f64().unwrap() < 0.25, "{text}");
 
     // The model file holds the same evaluation, and another seed draws other samples.
-    let artifact = tcvae::artifact::Artifact::load(&folder.join("a/model.safetensors")).unwrap();
+    let artifact = Artifact::load(&folder.join("a/model.safetensors")).unwrap();
     let stored = serde_json::to_value(artifact.document.evaluation.unwrap()).unwrap();
     assert_eq!(stored, answer);
     let other: Value = serde_json::from_str(&evaluate(&["--json", "--seed", "1"])).unwrap();
@@ -192,4 +194,45 @@ fn arcs_are_simulated_trained_on_and_evaluated_by_one_seed() {
     for line in ["success", "robustness", "robust and valid", "active latents", "leak", "swap"] {
         assert!(table.lines().any(|l| l.starts_with(line)), "{table}");
     }
+}
+
+#[test]
+fn the_shipped_model_scores_what_its_file_says_and_what_was_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulate = ["simulate", "arcs", "--seed", "0", "-o", "data"];
+    assert_eq!(tcvae(&simulate, folder.path()).status.code(), Some(0));
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/models/arcs.safetensors");
+    let output = tcvae(&["evaluate", model, "--data", "data", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let measured: Evaluation = serde_json::from_str(&stdout(&output)).unwrap();
+    let document = Artifact::load(Path::new(model)).unwrap().document;
+    let stored = document.evaluation.unwrap();
+
+    assert_eq!(
+        (&measured.model_id, &measured.data_digest),
+        (&stored.model_id, &document.data_digest)
+    );
+    assert_eq!((measured.cases, measured.seed), (1000, stored.seed));
+    // Processors round differently, which can move a motion over a threshold.
+    let close = |a: f64, b: f64| assert!((a - b).abs() < 0.005, "{measured:?} {stored:?}");
+    for (measured, stored) in [
+        (&measured.success, &stored.success),
+        (&measured.robustness, &stored.robustness),
+        (&measured.robust_and_valid, &stored.robust_and_valid),
+    ] {
+        for (measured, stored) in measured.iter().zip(stored) {
+            assert_eq!(measured.threshold, stored.threshold);
+            close(measured.mean, stored.mean);
+            close(measured.low, stored.low);
+        }
+    }
+    close(measured.reconstruction_rmse, stored.reconstruction_rmse);
+    close(measured.leak_r2, stored.leak_r2);
+    close(measured.swap, stored.swap);
+
+    let at = |scores: &[Score]| scores.iter().find(|s| s.threshold == 0.05).unwrap().low;
+    assert!(at(&measured.success) > 0.85 && at(&measured.robustness) > 0.85);
+    assert!(at(&measured.robust_and_valid) > 0.8);
+    assert!(measured.active_latents >= 2);
+    assert!(measured.leak_r2 < 0.05);
 }
