@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
@@ -83,11 +83,24 @@ struct Shared {
     /// one published.
     publishing: Lane,
     sampling: Lane,
+    /// Whether a goal waits for its turn in the lane.
+    goal_waits: AtomicBool,
     joint_trajectory: Publisher<JointTrajectory>,
     end_effector_trajectory: Publisher<MultiDOFJointTrajectory>,
     end_effector_path: Publisher<Path>,
     model_info: Publisher<Text>,
     parameter_events: Publisher<raw::ParameterEvent>,
+}
+
+/// What a sample is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Turn {
+    /// A task topic, of which the latest counts.
+    Goal,
+    /// A request whose answer is published.
+    Publish,
+    /// A request whose answer only its client gets.
+    Answer,
 }
 
 /// Time for stamps, and a time for ages that never goes back.
@@ -134,6 +147,7 @@ impl RunningNode {
             topics: Mutex::default(),
             publishing: Lane::new("publishing")?,
             sampling: Lane::new("sampling")?,
+            goal_waits: AtomicBool::new(false),
             joint_trajectory: wiring.publisher("~/joint_trajectory", trajectory, reliable(1))?,
             end_effector_trajectory: wiring.publisher(
                 "~/end_effector_trajectory",
@@ -163,7 +177,7 @@ impl RunningNode {
         }));
         shared.sync_topics();
         shared.announce_model();
-        shared.announce_parameters(&[]);
+        shared.announce_parameters(&[], &shared.parameters());
         Ok(Self { tasks, shared: Some(shared), log, _context: context })
     }
 
@@ -241,7 +255,7 @@ impl Shared {
             .frames
             .location(&name, &goal.header, &goal.pose.position)
             .and_then(|location| self.set_location(&location))
-            .and_then(|()| self.publish_sample(SampleRequest::default(), received, |_| {}));
+            .and_then(|()| self.publish_latest(received));
         if let Err(refusal) = set {
             log::warn!("goal refused: {refusal}");
         }
@@ -256,7 +270,7 @@ impl Shared {
             .and_then(|location| self.set_location(&location));
         let publish = self.state().publish_on_task;
         let done = set.and_then(|()| match publish {
-            true => self.publish_sample(SampleRequest::default(), received, |_| {}),
+            true => self.publish_latest(received),
             false => Ok(()),
         });
         if let Err(refusal) = done {
@@ -329,14 +343,27 @@ impl Shared {
 
     // ---- Sampling ----
 
+    /// Samples for the task that is the latest when its turn comes, and publishes. So of many
+    /// goals in a burst the last is served, and those before it only if there is time.
+    fn publish_latest(self: &Arc<Self>, received: Instant) -> Result<(), Refusal> {
+        if self.goal_waits.swap(true, SeqCst) {
+            return Ok(());
+        }
+        let asked = self.publish_sample(Turn::Goal, received, |_| {});
+        if asked.is_err() {
+            self.goal_waits.store(false, SeqCst);
+        }
+        asked
+    }
+
     /// Samples for the latest task and publishes; `done` hears of it.
     fn publish_sample(
         self: &Arc<Self>,
-        request: SampleRequest,
+        turn: Turn,
         received: Instant,
         done: impl FnOnce(&SampleReply) + Send + 'static,
     ) -> Result<(), Refusal> {
-        self.sample(&self.publishing, request, move |shared, reply| {
+        self.sample(turn, SampleRequest::default(), move |shared, reply| {
             if let Some(sample) = reply.samples.first() {
                 shared.publish(sample, &reply.model_id, received);
             }
@@ -344,17 +371,27 @@ impl Shared {
         })
     }
 
-    /// Answers a request in a lane, and then does something with the answer.
+    /// Answers a request when its turn comes, with the state of that moment, and then does something with the answer.
     fn sample(
         self: &Arc<Self>,
-        lane: &Lane,
+        turn: Turn,
         request: SampleRequest,
         then: impl FnOnce(&Self, SampleReply) + Send + 'static,
     ) -> Result<(), Refusal> {
-        let server = self.state().server.clone();
-        let now_secs = self.now_secs();
+        let lane = match turn {
+            Turn::Goal | Turn::Publish => &self.publishing,
+            Turn::Answer => &self.sampling,
+        };
         let shared = Arc::downgrade(self);
         lane.run(move || {
+            let now = with(&shared, |shared| {
+                if turn == Turn::Goal {
+                    // Before the state is read: a goal from here on needs a turn of its own.
+                    shared.goal_waits.store(false, SeqCst);
+                }
+                (shared.state().server.clone(), shared.now_secs())
+            });
+            let Some((server, now_secs)) = now else { return };
             let answered = catch_unwind(AssertUnwindSafe(|| server.sample(&request, now_secs)));
             let reply = answered.unwrap_or_else(|_| SampleReply {
                 samples: Vec::new(),
@@ -484,7 +521,7 @@ impl Shared {
     fn trigger(self: &Arc<Self>, reply: Reply<TriggerRequest, TriggerResponse>) {
         let received = Instant::now();
         let later = reply.clone();
-        let asked = self.publish_sample(SampleRequest::default(), received, move |answer| {
+        let asked = self.publish_sample(Turn::Publish, received, move |answer| {
             later.send(match (&answer.refusal, answer.samples.first()) {
                 (None, Some(sample)) => {
                     TriggerResponse { success: true, message: summary(sample, &answer.model_id) }
@@ -508,10 +545,10 @@ impl Shared {
     ) {
         let received = Instant::now();
         let publish = message.publish;
-        let lane = if publish { &self.publishing } else { &self.sampling };
+        let turn = if publish { Turn::Publish } else { Turn::Answer };
         let later = reply.clone();
         let asked = self.frames.request(message).and_then(|request| {
-            self.sample(lane, request, move |shared, answer| {
+            self.sample(turn, request, move |shared, answer| {
                 if let (true, Some(sample)) = (publish, answer.samples.first()) {
                     shared.publish(sample, &answer.model_id, received);
                 }
@@ -693,7 +730,7 @@ impl Shared {
         self: &Arc<Self>,
         change: impl FnOnce(&mut NodeState) -> Result<(), E>,
     ) -> Result<(), E> {
-        let (before, model_changed) = {
+        let (before, after, model_changed) = {
             let mut state = self.state();
             let before = state.parameters();
             let mut changed = state.clone();
@@ -701,9 +738,9 @@ impl Shared {
             let old_model = std::ptr::from_ref(state.server.model());
             let model_changed = !std::ptr::eq(old_model, changed.server.model());
             *state = changed;
-            (before, model_changed)
+            (before, state.parameters(), model_changed)
         };
-        self.announce_parameters(&before);
+        self.announce_parameters(&before, &after);
         if model_changed {
             self.announce_model();
         }
@@ -711,10 +748,10 @@ impl Shared {
         Ok(())
     }
 
-    /// Publishes what differs from `before`.
-    fn announce_parameters(&self, before: &[Parameter]) {
+    /// Publishes what changed.
+    fn announce_parameters(&self, before: &[Parameter], after: &[Parameter]) {
         let name = self.names.fully_qualified();
-        if let Some(event) = parameters::event(before, &self.parameters(), self.stamp(), &name)
+        if let Some(event) = parameters::event(before, after, self.stamp(), &name)
             && let Err(e) = self.parameter_events.publish(event)
         {
             log::warn!("a parameter event could not be sent: {e}");

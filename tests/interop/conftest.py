@@ -189,3 +189,24 @@ def make_client(domain):
 def client(make_client):
     """One rclpy client."""
     return make_client()
+
+
+def start_node(start, *arguments, **environment):
+    """Starts tcvae_node and waits until it is ready."""
+    process = start("tcvae_node", *arguments, **environment)
+    process.wait_for("Try, in another shell")
+    return process
+
+
+@pytest.fixture
+def node(start):
+    """The node as it is without arguments."""
+    return start_node(start)
+
+
+@pytest.fixture
+def user(node, make_client):
+    """An rclpy client that the node's topics are matched with."""
+    from user import User
+
+    return User(make_client("user"))

@@ -1,0 +1,249 @@
+"""Goal poses in, trajectories out: what the node serves, measured again from outside."""
+
+import json
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Path
+from pouring import Arm, Motion, seconds
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tcvae_msgs.srv import DescribePrimitive, SampleTrajectory, SetManner
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+from user import plain, pose, task
+
+TOLERANCE_M = 0.02
+SOURCE = (0.60, 0.10)
+GOALS = [(0.65, 0.30), (0.70, 0.20), (0.60, 0.35)]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm()
+
+
+def assert_pours(message, arm, goal, source=SOURCE):
+    motion = Motion(message)
+    motion.assert_executable(arm)
+    assert np.linalg.norm(motion.pour_location(arm) - goal) < TOLERANCE_M
+    assert np.linalg.norm(motion.source_cup(arm) - source) < TOLERANCE_M
+    return motion
+
+
+def test_a_goal_pose_becomes_a_trajectory_that_pours_there(node, user, arm):
+    user.publish_location("source_cup", *SOURCE)
+    for goal in GOALS:
+        joints, poses, path = user.ask(*goal)
+        motion = assert_pours(joints, arm, goal)
+        assert len(motion.times) == 100
+        assert (joints.header.stamp.sec, joints.header.stamp.nanosec) == (0, 0)
+        # The other two messages show the same motion.
+        assert poses.header.frame_id == path.header.frame_id == "base"
+        assert list(poses.joint_names) == ["left_gripper"]
+        assert len(poses.points) == len(path.poses) == 100
+        for point, pose, positions in zip(poses.points, path.poses, motion.positions):
+            tip = arm.forward(positions)
+            place = point.transforms[0].translation
+            assert np.allclose([place.x, place.y, place.z], tip[:3, 3], atol=1e-6)
+            assert pose.pose.position.x == place.x
+            turn = point.transforms[0].rotation
+            # A unit quaternion's double cover: compare what it does to an axis.
+            x, y, z, w = turn.x, turn.y, turn.z, turn.w
+            up = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+            assert np.allclose(up, tip[:3, 2], atol=1e-6)
+        assert [seconds(p.time_from_start) for p in poses.points] == list(motion.times)
+
+
+def test_height_and_orientation_of_a_goal_have_no_meaning(node, user, arm):
+    user.publish_location("source_cup", *SOURCE)
+    goal = pose(*GOALS[0])
+    goal.pose.position.z = float("nan")
+    goal.pose.orientation.w = 0.0
+    user.goal_pose.publish(goal)
+    assert_pours(user.trajectory(), arm, GOALS[0])
+
+
+def test_manner_set_by_the_service_changes_the_motion_and_not_its_place(node, user, arm):
+    assert_manner_matters(user, arm, lambda name, value: set_by_service(user, name, value))
+
+
+def test_manner_set_by_a_parameter_changes_the_motion_and_not_its_place(node, user, arm):
+    assert_manner_matters(user, arm, lambda name, value: user.set_parameter(
+        f"manner.{name}", value))
+
+
+def set_by_service(user, name, value):
+    response = user.call(SetManner, "set_manner", names=[name], values=[value])
+    assert response.error_code == 0, response.error_message
+    assert {m.name: m.value for m in response.manner}[name] == value
+
+
+def assert_manner_matters(user, arm, set_manner):
+    user.publish_location("source_cup", *SOURCE)
+    before = assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0])
+    again = assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0])
+    assert np.array_equal(before.positions, again.positions)
+    description = user.call(DescribePrimitive, "describe_primitive")
+    changed = []
+    for axis in description.manner:
+        set_manner(axis.name, 0.8)
+        after = assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0])
+        same_times = len(after.times) == len(before.times)
+        changed.append(np.abs(after.positions - before.positions).max() if same_times else 9.9)
+        set_manner(axis.name, 0.0)
+    print("largest change of a joint by manner parameter, rad:", np.round(changed, 3))
+    assert max(changed) > 0.02
+
+
+def test_both_ways_to_set_manner_are_one(node, user):
+    axis = user.call(DescribePrimitive, "describe_primitive").manner[0].name
+    events = user.listen(ParameterEvent, "/parameter_events")
+    set_by_service(user, axis, 0.5)
+    assert user.parameter(f"manner.{axis}")== 0.5
+    named = lambda: [(p.name, plain(p.value)) for e in events for p in e.changed_parameters]
+    assert user.until(lambda: (f"manner.{axis}", 0.5) in named())
+    user.set_parameter(f"manner.{axis}", -0.25)
+    response = user.call(SetManner, "set_manner")
+    assert {m.name: m.value for m in response.manner}[axis] == -0.25
+    assert user.call(SetManner, "set_manner", reset=True).error_code == 0
+    assert user.parameter(f"manner.{axis}")== 0.0
+
+
+def test_the_service_returns_12_samples_of_100_points(node, user, arm):
+    request = dict(task=task(GOALS[0], SOURCE), count=12, sample_manner=True, seed=7)
+    response = user.call(SampleTrajectory, "sample_trajectory", **request)
+    assert response.error_code == 0, response.error_message
+    assert len(response.samples) == 12
+    for sample in response.samples:
+        motion = assert_pours(sample.joint_trajectory, arm, GOALS[0])
+        assert len(motion.times) == len(sample.position_stddev) == 100
+        measured = {l.name: (l.point.point.x, l.point.point.y) for l in sample.empirical_task}
+        found = np.linalg.norm(motion.pour_location(arm) - measured["pour_location"])
+        assert found < 0.003, "the node's measure of the pour and ours differ"
+        assert 0 <= sample.task_error <= TOLERANCE_M
+        assert sample.joint_margin > 0 and sample.slowdown >= 1 and sample.tries >= 1
+    manners = {tuple(sample.manner_values) for sample in response.samples}
+    assert len(manners) == 12
+    again = user.call(SampleTrajectory, "sample_trajectory", **request)
+    for first, second in zip(response.samples, again.samples):
+        # As text, since the clearance is NaN, which equals nothing.
+        assert str(first) == str(second), "one seed gave two motions"
+    # Each sample names the seed that makes it alone.
+    one = user.call(SampleTrajectory, "sample_trajectory",
+                    **request | {"count": 1, "seed": response.samples[5].seed})
+    assert one.samples[0].manner_values == response.samples[5].manner_values
+
+
+@pytest.mark.parametrize(("rank_by", "cost"), [
+    ("duration", lambda sample: seconds(sample.joint_trajectory.points[-1].time_from_start)),
+    ("margin", lambda sample: -sample.joint_margin),
+])
+def test_samples_come_in_the_order_that_is_asked_for(node, user, rank_by, cost):
+    response = user.call(SampleTrajectory, "sample_trajectory", task=task(GOALS[0], SOURCE),
+                         count=8, sample_manner=True, rank_by=rank_by)
+    costs = [cost(sample) for sample in response.samples]
+    assert len(costs) == 8 and costs == sorted(costs)
+
+
+def test_slower_limits_make_a_slower_motion_at_the_same_place(node, user, arm):
+    request = task(GOALS[0], SOURCE)
+    normal = user.call(SampleTrajectory, "sample_trajectory", task=request).samples[0]
+    slow = user.call(SampleTrajectory, "sample_trajectory", task=request,
+                     velocity_scale=0.05).samples[0]
+    motion = assert_pours(slow.joint_trajectory, arm, GOALS[0])
+    assert slow.slowdown > normal.slowdown
+    assert np.all(np.abs(motion.velocities) <= 0.05 * arm.velocity * (1 + 1e-6))
+
+
+def test_a_rate_decides_the_number_of_points(node, user):
+    request = task(GOALS[0], SOURCE)
+    sample = user.call(SampleTrajectory, "sample_trajectory", task=request, rate_hz=50.0).samples[0]
+    times = [seconds(point.time_from_start) for point in sample.joint_trajectory.points]
+    assert np.allclose(np.diff(times), 1 / 50, atol=2e-3)
+
+
+def test_a_request_can_publish_its_first_sample(node, user):
+    response = user.call(SampleTrajectory, "sample_trajectory", count=3, publish=True,
+                         sample_manner=True, task=task(GOALS[0], SOURCE))
+    published = user.trajectory()
+    assert published == response.samples[0].joint_trajectory
+    user.call(SampleTrajectory, "sample_trajectory", task=task(GOALS[0], SOURCE))
+    assert user.trajectory(timeout=0.5) is None
+
+
+def test_trigger_samples_for_the_latest_task_and_publishes(node, user, arm):
+    user.publish_location("source_cup", *SOURCE)
+    user.publish_location("pour_location", *GOALS[1])
+    assert user.trajectory(timeout=0.5) is None, "a task topic asked for a trajectory by itself"
+    response = user.call(Trigger, "sample")
+    assert response.success and "100 points" in response.message, response.message
+    assert_pours(user.trajectory(), arm, GOALS[1])
+
+
+def test_publish_on_task_makes_every_task_topic_ask(node, user, arm):
+    user.set_parameter("publish_on_task", True)
+    user.publish_location("pour_location", *GOALS[1])
+    user.hears("NO_TASK")
+    user.publish_location("source_cup", *SOURCE)
+    assert_pours(user.trajectory(), arm, GOALS[1])
+
+
+def test_the_default_of_a_location_stands_in_until_one_is_published(node, user, arm):
+    user.set_parameter("task.source_cup.default", SOURCE)
+    assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0])
+    user.publish_location("source_cup", 0.65, 0.05)
+    assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0], source=(0.65, 0.05))
+
+
+def test_who_joins_late_gets_no_old_trajectory_but_the_model_and_the_path(node, user, make_client):
+    user.publish_location("source_cup", *SOURCE)
+    assert user.ask(*GOALS[0])[0] is not None
+    late = make_client("late")
+    got = {"joints": [], "poses": [], "path": [], "info": []}
+    for key, kind, topic, qos in [
+        ("joints", JointTrajectory, "joint_trajectory", 10),
+        ("poses", MultiDOFJointTrajectory, "end_effector_trajectory", 10),
+        ("path", Path, "end_effector_path", LATCHED),
+        ("info", String, "model_info", LATCHED),
+    ]:
+        late.node.create_subscription(kind, f"/tcvae/{topic}", got[key].append, qos)
+    assert late.spin_until(lambda: got["info"] and got["path"], 5.0) is not None
+    late.spin_until(lambda: False, 1.0)
+    assert (len(got["joints"]), len(got["poses"])) == (0, 0)
+    info = json.loads(got["info"][0].data)
+    description = user.call(DescribePrimitive, "describe_primitive")
+    assert info["model_id"] == description.model_id
+    assert [axis["name"] for axis in info["manner"]] == [m.name for m in description.manner]
+    assert info["joint_names"] == list(description.joint_names)
+    assert info["evaluation"] == json.loads(description.evaluation_json)
+    assert info["synthetic_data"] is True
+
+
+def test_20_fresh_clients_one_after_another_are_all_served(node, make_client, arm):
+    took = []
+    for number in range(20):
+        client = make_client(f"fresh_{number}")
+        service = client.service(SampleTrajectory, "/tcvae/sample_trajectory")
+        request = SampleTrajectory.Request(count=1, task=task(GOALS[0], SOURCE))
+        response, seconds_taken = client.call(service, request)
+        assert response.error_code == 0, response.error_message
+        assert len(response.samples[0].joint_trajectory.points) == 100
+        took.append(round(seconds_taken, 4))
+        client.close()
+    print("first calls, s:", took)
+
+
+def test_goals_in_a_burst_end_with_the_last_one(node, user, arm):
+    user.publish_location("source_cup", *SOURCE)
+    for i in range(30):
+        user.goal_pose.publish(pose(0.62 + 0.001 * i, 0.30))
+    last = (0.70, 0.25)
+    user.goal_pose.publish(pose(*last))
+    user.wait(1.0)
+    assert not user.said("BUSY")
+    assert_pours(user.joints[-1], arm, last)
+    places = [Motion(joints).pour_location(arm)[0] for joints in user.joints]
+    assert all(later > earlier for earlier, later in zip(places, places[1:]))
