@@ -104,7 +104,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     warnings.extend(environment.warnings.iter().cloned());
     let ignored = arguments.ignored.iter().map(|flag| format!("{flag} has no effect on this node"));
     warnings.extend(ignored);
-    runtime.block_on(async {
+    let done = runtime.block_on(async {
         // Before the node is on the graph, so that no signal finds the default handler.
         let mut interrupt = signal(SignalKind::interrupt())?;
         let mut terminate = signal(SignalKind::terminate())?;
@@ -122,5 +122,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         log::info!("{name}: leaving");
         node.stop().await;
         Ok(())
-    })
+    });
+    // A model file that is still being read is not waited for.
+    runtime.shutdown_background();
+    done
 }

@@ -193,8 +193,13 @@ impl RunningNode {
         }
         self.tasks.shutdown().await;
         self.log.detach();
-        // A sample that is still computed holds no more than its own request.
-        self.shared = None;
+        // A lane that publishes at this moment holds the state a little longer; one that samples
+        // holds no more than its own request, and is not waited for.
+        let state = self.shared.take().as_ref().map(Arc::downgrade);
+        let deadline = Instant::now() + Duration::from_secs(1);
+        while state.as_ref().is_some_and(|s| s.strong_count() > 0) && Instant::now() < deadline {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
     }
 }
 

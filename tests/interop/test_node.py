@@ -250,6 +250,8 @@ def test_a_signal_in_the_middle_of_sampling_ends_the_node_too(node, user):
     user.wait(0.05)
     node.signal(signal.SIGTERM)
     assert node.wait(3.0) == 0
+    names = user.client.node.get_node_names
+    assert user.client.spin_until(lambda: "tcvae" not in names(), 1.0) is not None
     assert "panicked" not in node.output
 
 
