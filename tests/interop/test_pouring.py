@@ -1,9 +1,11 @@
 """Goal poses in, trajectories out: what the node serves, measured again from outside."""
 
 import json
+import subprocess
 
 import numpy as np
 import pytest
+from conftest import BINARIES, ROOT, start_node
 from nav_msgs.msg import Path
 from pouring import Arm, Motion, seconds
 from rcl_interfaces.msg import ParameterEvent
@@ -12,7 +14,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tcvae_msgs.srv import DescribePrimitive, SampleTrajectory, SetManner
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
-from user import plain, pose, task
+from user import User, plain, pose, task
 
 TOLERANCE_M = 0.02
 SOURCE = (0.60, 0.10)
@@ -247,3 +249,40 @@ def test_goals_in_a_burst_end_with_the_last_one(node, user, arm):
     assert_pours(user.joints[-1], arm, last)
     places = [Motion(joints).pour_location(arm)[0] for joints in user.joints]
     assert all(later > earlier for earlier, later in zip(places, places[1:]))
+
+
+# ---- A model of one's own, on a description of one's own ----
+
+QUIRKS = ROOT / "tests" / "fixtures" / "baxter_quirks.urdf"
+
+
+@pytest.fixture(scope="module")
+def fresh_model(tmp_path_factory):
+    """A model trained just now, from a few demonstrations for a short time."""
+    folder = tmp_path_factory.mktemp("fresh")
+    model = folder / "model.safetensors"
+    for arguments in [
+        ["simulate", "pouring", "--seed", "5", "--count", "80", "-o", folder / "pours"],
+        ["train", folder / "pours", "--set", "epochs=8", "-o", model],
+    ]:
+        done = subprocess.run([BINARIES / "tcvae", *arguments], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    return model
+
+
+def test_a_freshly_trained_model_is_served_on_a_second_description_of_the_arm(
+    start, make_client, fresh_model,
+):
+    process = start_node(start, "--model", str(fresh_model), "--urdf", str(QUIRKS))
+    assert str(fresh_model) in process.output and str(QUIRKS) in process.output
+    arm = Arm(QUIRKS)
+    user = User(make_client("user"))
+    user.publish_location("source_cup", *SOURCE)
+    served = 0
+    for goal in GOALS:
+        user.goal_pose.publish(pose(*goal))
+        joints = user.trajectory(timeout=3.0)
+        if joints is not None:
+            assert_pours(joints, arm, goal)
+            served += 1
+    assert served > 0, [m.msg for m in user.log]

@@ -230,21 +230,16 @@ def load(user, path):
 
 
 def edited(path, change):
-    """A copy of a model file whose JSON document was changed, as a text editor would."""
+    """A copy of a model file whose metadata was changed, as a text editor would."""
     content = path.read_bytes()
     (length,) = struct.unpack("<Q", content[:8])
     header = json.loads(content[8:8 + length])
-    change(header["__metadata__"])
+    metadata = json.loads(header["__metadata__"]["tcvae"])
+    change(metadata)
+    header["__metadata__"]["tcvae"] = json.dumps(metadata)
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)
     return struct.pack("<Q", len(text)) + text + content[8 + length:]
-
-
-def change_document(**values):
-    def change(metadata):
-        (key,) = [key for key, text in metadata.items() if text.startswith("{")]
-        metadata[key] = json.dumps(json.loads(metadata[key]) | values)
-    return change
 
 
 BAD_MODELS = {
@@ -257,9 +252,9 @@ BAD_MODELS = {
         lambda: MODEL.read_bytes()[:-5] + bytes([MODEL.read_bytes()[-5] ^ 1])
         + MODEL.read_bytes()[-4:], ErrorCode.BAD_FILE, ["SHA-256"]),
     "document edited": (
-        lambda: edited(MODEL, change_document(duration_secs=1.0)), ErrorCode.BAD_FILE, ["SHA-256"]),
+        lambda: edited(MODEL, lambda m: m["document"].update(duration_secs=1.0)), ErrorCode.BAD_FILE, ["SHA-256"]),
     "newer format": (
-        lambda: edited(MODEL, change_document(format_version=999)),
+        lambda: edited(MODEL, lambda m: m.update(format_version=999)),
         ErrorCode.FORMAT_VERSION, ["999"]),
     "no robot": (
         lambda: (ROOT / "models" / "arcs.safetensors").read_bytes(),
