@@ -18,18 +18,16 @@ use tcvae::serving::{ErrorCode, Refusal, Robot, ServedModel};
 use tcvae::urdf::UrdfError;
 use tokio::signal::unix::{SignalKind, signal};
 
+/// The model that is served without a file.
+const POURING: &[u8] = include_bytes!("../../models/pouring.safetensors");
+
 /// Reads models and robots from files; an empty path means the embedded one.
 struct Files;
 
 impl Loader for Files {
     fn model(&self, path: &str) -> Result<ServedModel, Refusal> {
         let artifact = match path {
-            "" => {
-                return Err(Refusal::new(
-                    ErrorCode::BadFile,
-                    "this build has no model of its own; start it with --model FILE",
-                ));
-            }
+            "" => Artifact::from_bytes(POURING),
             path => Artifact::load(Path::new(path)),
         };
         artifact.and_then(|artifact| artifact.served_model()).map_err(|e| {
@@ -38,7 +36,8 @@ impl Loader for Files {
                 ArtifactError::NoRobot { .. } => ErrorCode::RobotMismatch,
                 _ => ErrorCode::BadFile,
             };
-            Refusal::new(code, format!("{path}: {e}"))
+            let file = if path.is_empty() { "the built-in model" } else { path };
+            Refusal::new(code, format!("{file}: {e}"))
         })
     }
 

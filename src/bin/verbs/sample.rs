@@ -286,7 +286,7 @@ fn plot(
         .collect();
     let locations: Vec<_> =
         args.task.iter().map(|l| PlottedLocation { name: l.name.clone(), xy: l.xy }).collect();
-    let title = format!("{} served motion(s), seed {}", samples.len(), args.seed);
+    let title = format!("served motions: {}, from seed {}", samples.len(), args.seed);
     let svg = motions_svg(&title, &motions, &locations, tolerance_m, threshold_deg)?;
     write(path, &svg)
 }
