@@ -372,6 +372,32 @@ fn when_no_draw_passes_the_nearest_is_told() {
 }
 
 #[test]
+fn a_mean_that_fails_is_drawn_anew_but_what_is_set_stays() {
+    // The mean lifts the cup by 15 cm; this task wants 16 cm, and h2 lifts by 2 cm a unit.
+    let mut strict = model(0.0);
+    let mut task = PouringTask::default();
+    task.validity.lift_m.lower = 0.16;
+    strict.task = Box::new(task);
+    let mut server = serving(strict);
+    let sample = one(&server, &request());
+    assert!(sample.tries > 1 && sample.manner_values[1] > 0.0, "{:?}", sample.manner_values);
+    assert!(sample.warnings.iter().any(|w| w.contains("lift_m")), "{:?}", sample.warnings);
+
+    server.set_manner(&["h2".into()], &[0.0], false).unwrap();
+    let (code, message) = refusal(&server, &request());
+    assert_eq!(code, ErrorCode::InvalidMotion, "{message}");
+    server.set_manner(&[], &[], true).unwrap();
+    one(&server, &request());
+    let both = SampleRequest {
+        manner_names: vec!["h1".into(), "h2".into()],
+        manner_values: vec![0.0, 0.0],
+        ..request()
+    };
+    let (_, message) = refusal(&server, &both);
+    assert!(message.starts_with("the motion is not a valid one"), "{message}");
+}
+
+#[test]
 fn samples_are_ranked_by_what_is_asked_for() {
     let server = server();
     let drawn = SampleRequest { sample_manner: true, count: 6, seed: 3, ..request() };

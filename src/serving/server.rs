@@ -32,6 +32,8 @@ pub struct PrimitiveServer {
     given: Vec<Option<Given>>,
     defaults: Vec<Option<[f64; 2]>>,
     manner: MannerParameters,
+    /// Which manner parameters an operator has set; the others are at the prior's mean.
+    manner_set: Vec<bool>,
     /// Seeds handed out since `settings.seed` was set.
     seeds_drawn: Arc<AtomicU64>,
 }
@@ -51,6 +53,7 @@ impl PrimitiveServer {
         let locations = model.space().locations().len();
         Ok(Self {
             manner: MannerParameters::mean(model.primitive.manner_space()),
+            manner_set: vec![false; model.primitive.manner_space().dim()],
             given: vec![None; locations],
             defaults: vec![None; locations],
             settings: settings.checked()?,
@@ -151,15 +154,18 @@ impl PrimitiveServer {
         values: &[f64],
         reset: bool,
     ) -> Result<(), Refusal> {
-        let mut manner = match reset {
-            true => vec![0.0; self.manner.values().len()],
-            false => self.manner.values().to_vec(),
+        let dim = self.manner_set.len();
+        let (mut manner, mut set) = match reset {
+            true => (vec![0.0; dim], vec![false; dim]),
+            false => (self.manner.values().to_vec(), self.manner_set.clone()),
         };
         for (index, value) in self.fixed_manner(names, values)? {
             manner[index] = value;
+            set[index] = true;
         }
         self.manner = MannerParameters::new(self.model.primitive.manner_space(), manner)
             .map_err(manner_refusal)?;
+        self.manner_set = set;
         Ok(())
     }
 
@@ -177,12 +183,14 @@ impl PrimitiveServer {
             .unzip();
         let old_space = self.model.primitive.manner_space();
         let new_space = model.primitive.manner_space();
-        let manner = new_space.axes().iter().map(|axis| match old_space.index(&axis.name) {
-            Ok(i) => self.manner.values()[i].clamp(axis.lower, axis.upper),
-            Err(_) => 0.0,
+        let kept = new_space.axes().iter().map(|axis| match old_space.index(&axis.name) {
+            Ok(i) => (self.manner.values()[i].clamp(axis.lower, axis.upper), self.manner_set[i]),
+            Err(_) => (0.0, false),
         });
-        let manner = MannerParameters::new(new_space, manner.collect()).map_err(manner_refusal)?;
-        (self.given, self.defaults, self.manner, self.model) = (given, defaults, manner, model);
+        let (manner, set) = kept.unzip();
+        let manner = MannerParameters::new(new_space, manner).map_err(manner_refusal)?;
+        (self.given, self.defaults, self.model) = (given, defaults, model);
+        (self.manner, self.manner_set) = (manner, set);
         Ok(())
     }
 
@@ -246,7 +254,9 @@ impl PrimitiveServer {
         Ok(())
     }
 
-    /// Draws manners until a motion passes every check.
+    /// Draws manners until a motion passes every check. What a request or an operator has set
+    /// stays as it is; where a request does not ask for draws, the first try is at the prior's
+    /// mean, and the manner parameters that nobody has set are drawn only if that fails.
     fn draw(
         &self,
         request: &SampleRequest,
@@ -257,23 +267,33 @@ impl PrimitiveServer {
         let space = self.model.primitive.manner_space();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let draws = request.sample_manner || self.settings.manner_mode == MannerMode::Prior;
-        // With every manner parameter fixed, a second draw would be the first again.
-        let tries = match draws && fixed.len() < space.dim() {
-            true => self.settings.max_tries,
-            false => 1,
-        };
+        let is_fixed = |index| fixed.iter().any(|(i, _)| *i == index);
+        let is_free = |&index: &usize| !is_fixed(index) && (draws || !self.manner_set[index]);
+        let free: Vec<usize> = (0..space.dim()).filter(is_free).collect();
+        // With nothing left to draw, a second try would be the first again.
+        let tries = if free.is_empty() { 1 } else { self.settings.max_tries };
         let mut best: Option<Failure> = None;
         for attempt in 1..=tries {
-            let mut h = match draws {
-                true => self.model.primitive.sample_manner(&mut rng).values().to_vec(),
-                false => self.manner.values().to_vec(),
-            };
+            let mut h = self.manner.values().to_vec();
+            if draws || attempt > 1 {
+                let drawn = self.model.primitive.sample_manner(&mut rng);
+                free.iter().for_each(|&index| h[index] = drawn.values()[index]);
+            }
             for &(index, value) in fixed {
                 h[index] = value;
             }
             let h = MannerParameters::new(space, h).map_err(manner_refusal)?;
             match order.carry_out(&self.model, &self.robot, &h) {
-                Ok(sample) => return Ok(Sample { seed, tries: attempt, ..sample }),
+                Ok(mut sample) => {
+                    if let (false, Some(failure)) = (draws, &best) {
+                        sample.warnings.push(format!(
+                            "the manner parameters that are not set were drawn, since their mean \
+                             was refused: {}",
+                            failure.refusal.message
+                        ));
+                    }
+                    return Ok(Sample { seed, tries: attempt, ..sample });
+                }
                 Err(failure) => best = Some(Failure::nearer(best, failure)),
             }
         }
