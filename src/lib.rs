@@ -16,15 +16,14 @@
 //! | [`pose`] | end-effector poses, and how they become 6-D states |
 //! | [`primitive`] | the traits of a movement primitive |
 //! | [`kinematics`] | chains, forward kinematics, inverse kinematics of whole paths, timing |
-//! | `primitives` | the baselines: DMP, ProMP, TP-GMM |
 //! | [`model`] | the TC-VAE: its networks, its objective, and its packed decoder |
 //! | [`demonstrations`] | tasks, what they measure, and the demonstrations of them |
 //! | [`evaluation`] | SUCCESS, ROBUSTNESS, leak, validity |
 //! | [`training`] | the alternating optimisation (feature `train`) |
 //! | [`serving`] | the state and the rules of the node, without any I/O |
 //!
-//! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], `bag`, [`mime`], `ros`
-//! and [`report`], don't know each other; the two binaries wire them together.
+//! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], [`mime`], `ros` and
+//! [`report`], don't know each other; the two binaries wire them together.
 
 pub mod parameters;
 
@@ -48,8 +47,6 @@ pub mod serving;
 
 // Adapters: they don't know each other; the binaries wire them.
 pub mod artifact;
-#[cfg(feature = "bag")]
-pub mod bag;
 pub mod config;
 pub mod dataset;
 pub mod mime;
