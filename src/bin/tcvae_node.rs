@@ -26,6 +26,7 @@ struct Files;
 
 impl Loader for Files {
     fn model(&self, path: &str) -> Result<ServedModel, Refusal> {
+        check_regular(path)?;
         let artifact = match path {
             "" => Artifact::from_bytes(POURING),
             path => Artifact::load(Path::new(path)),
@@ -36,12 +37,18 @@ impl Loader for Files {
                 ArtifactError::NoRobot { .. } => ErrorCode::RobotMismatch,
                 _ => ErrorCode::BadFile,
             };
-            let file = if path.is_empty() { "the built-in model" } else { path };
-            Refusal::new(code, format!("{file}: {e}"))
+            let message = match (&e, path) {
+                // It names the file itself.
+                (ArtifactError::Io { .. }, _) => e.to_string(),
+                (_, "") => format!("the built-in model: {e}"),
+                (_, path) => format!("{path}: {e}"),
+            };
+            Refusal::new(code, message)
         })
     }
 
     fn robot(&self, path: &str, base_frame: &str, tip_link: &str) -> Result<Robot, Refusal> {
+        check_regular(path)?;
         let urdf = match path {
             "" => BAXTER_URDF.to_owned(),
             path => std::fs::read_to_string(path)
@@ -55,6 +62,17 @@ impl Loader for Files {
             let file = if path.is_empty() { "the built-in robot" } else { path };
             Refusal::new(code, format!("{file}: {e}"))
         })
+    }
+}
+
+/// A path that a client names may be a device or a pipe, which would never end.
+fn check_regular(path: &str) -> Result<(), Refusal> {
+    match std::fs::metadata(path) {
+        Ok(metadata) if !metadata.is_file() => {
+            Err(Refusal::new(ErrorCode::BadFile, format!("{path} is not a file")))
+        }
+        // What can't be read says so when it is read.
+        _ => Ok(()),
     }
 }
 
@@ -73,7 +91,8 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            eprintln!("tcvae_node: {e:#}");
+            // Each message holds its causes.
+            eprintln!("tcvae_node: {e}");
             let code = e.downcast_ref::<Refusal>().map(|refusal| refusal.code);
             ExitCode::from(match code {
                 Some(ErrorCode::BadFile | ErrorCode::FormatVersion | ErrorCode::RobotMismatch) => {

@@ -464,12 +464,10 @@ impl Shared {
             lost.push(e.to_string());
         }
         if lost.is_empty() {
-            log::info!("published in {took_ms:.2} ms: {}", summary(sample, model_id));
+            let notes: String = sample.warnings.iter().map(|w| format!("; note: {w}")).collect();
+            log::info!("published in {took_ms:.2} ms: {}{notes}", summary(sample, model_id));
         } else {
             log::error!("a trajectory could not be published: {}", lost.join("; "));
-        }
-        for warning in &sample.warnings {
-            log::info!("note: {warning}");
         }
     }
 

@@ -56,13 +56,8 @@ impl Parameter {
                 "no" | "No" | "NO" | "off" | "Off" | "OFF" | "n" | "N" => P::Boolean(false),
                 _ => P::String(word),
             },
-            // What `ros2 param set` makes of an empty array depends on the distribution.
-            (P::DoubleArray(_), P::ByteArray(values)) if values.is_empty() => {
-                P::DoubleArray(vec![])
-            }
-            (P::DoubleArray(_), P::StringArray(values)) if values.is_empty() => {
-                P::DoubleArray(vec![])
-            }
+            // `ros2 param set` can't know the type of an empty array, and says booleans.
+            (P::DoubleArray(_), value) if is_empty_array(&value) => P::DoubleArray(vec![]),
             (_, value) => value,
         };
         if value == P::NotSet {
@@ -212,6 +207,15 @@ fn unknown(name: &str) -> raw::ParameterDescriptor {
     }
 }
 
+fn is_empty_array(value: &ParameterValue) -> bool {
+    match value {
+        ParameterValue::ByteArray(values) => values.is_empty(),
+        ParameterValue::BooleanArray(values) => values.is_empty(),
+        ParameterValue::StringArray(values) => values.is_empty(),
+        _ => false,
+    }
+}
+
 /// A value's type, in words.
 fn type_name(value: &ParameterValue) -> &'static str {
     match value {
@@ -271,7 +275,9 @@ mod tests {
 
     #[test]
     fn an_empty_array_has_the_type_that_is_wanted() {
-        assert_eq!(accept("start", P::StringArray(vec![])), Ok(P::DoubleArray(vec![])));
+        for empty in [P::StringArray(vec![]), P::BooleanArray(vec![]), P::IntegerArray(vec![])] {
+            assert_eq!(accept("start", empty), Ok(P::DoubleArray(vec![])));
+        }
         assert_eq!(accept("start", P::IntegerArray(vec![1])), Ok(P::DoubleArray(vec![1.0])));
         assert!(accept("start", P::StringArray(vec!["a".into()])).is_err());
     }

@@ -260,10 +260,15 @@ impl NodeState {
             return Err(format!("there is no parameter {name}; {}", suggestion(&parameters, name)));
         };
         let value = parameter.accept(value)?;
+        if parameter.read_only {
+            return match value == parameter.value {
+                true => Ok(()),
+                false => Err(format!(
+                    "{name} is fixed at start; start the node with -p {name}:=… to change it"
+                )),
+            };
+        }
         match value {
-            _ if parameter.read_only && value != parameter.value => Err(format!(
-                "{name} is fixed at start; start the node with -p {name}:=… to change it"
-            )),
             ParameterValue::String(path) if name == "model_path" => {
                 match loaded.iter().find(|loaded| loaded.path == path) {
                     Some(loaded) => self.load(loaded.clone()).map_err(|e| e.to_string()),
@@ -336,7 +341,12 @@ impl NodeState {
                 let axis = name.strip_prefix("manner.").expect("the parameter exists");
                 self.server.set_manner(&[axis.to_owned()], &[value], false)?;
             }
-            (name, value) => unreachable!("{name} accepted {value:?}"),
+            (name, value) => {
+                return Err(Refusal::new(
+                    ErrorCode::Internal,
+                    format!("{name} accepted {value:?} and can't set it; please report this"),
+                ));
+            }
         }
         self.server.set_settings(settings)
     }

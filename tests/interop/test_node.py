@@ -10,12 +10,13 @@ import pytest
 from builtin_interfaces.msg import Time
 from conftest import start_node, wait_until
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.msg import Parameter, ParameterEvent
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
     GetParameterTypes,
     ListParameters,
+    SetParameters,
     SetParametersAtomically,
 )
 from rosgraph_msgs.msg import Clock
@@ -23,7 +24,7 @@ from tcvae_msgs.srv import DescribePrimitive, SampleTrajectory
 from trajectory_msgs.msg import JointTrajectory
 from user import User, plain, pose, task, value
 
-POUR, SOURCE = (0.65, 0.30), (0.60, 0.10)
+POUR, SOURCE = (0.65, 0.37), (0.60, 0.10)
 
 
 # ---- Names and arguments ----
@@ -156,6 +157,18 @@ def test_changes_are_reported_once_and_refusals_with_the_reason(node, user):
     assert changes() == [("sample.seed", 5)], "a refused change was reported"
 
 
+def test_what_a_dump_holds_can_be_loaded_again(node, user):
+    """`ros2 param dump` and `load`: every value is accepted as it is, read-only ones too."""
+    for name in user.call(ListParameters, "list_parameters").result.names:
+        user.set_parameter(name, user.parameter(name))
+    # The command line takes an empty array for one of booleans.
+    user.set_parameter("task.source_cup.default", [0.6, 0.1])
+    empty = Parameter(name="task.source_cup.default", value=ParameterValue(type=6))
+    answer = user.call(SetParameters, "set_parameters", parameters=[empty])
+    assert answer.results[0].successful, answer.results[0].reason
+    assert len(user.parameter("task.source_cup.default")) == 0
+
+
 def test_setting_atomically_is_all_or_nothing(node, user):
     events = user.listen(ParameterEvent, "/parameter_events", 100)
     user.wait(0.5)
@@ -198,7 +211,7 @@ def test_manner_mode_prior_draws_every_motion(node, user):
 
 
 def test_unknown_tasks_can_be_served_with_a_warning(node, user):
-    outside = task((0.65, 0.30), (0.60, 0.10))
+    outside = task(POUR, SOURCE)
     # Far enough out to be unknown, near enough to be reached.
     outside[0].point.point.y = user.call(DescribePrimitive, "describe_primitive").task_upper[1] + 0.02
     ask = lambda: user.call(SampleTrajectory, "sample_trajectory", task=outside)
@@ -341,7 +354,7 @@ def test_latency_inside_the_node_and_around_it(node, user, make_client):
     client.spin_until(lambda: False, 0.5)
     around = []
     for i in range(200):
-        goal, seen = pose(0.62 + 0.0004 * i, 0.30), len(got)
+        goal, seen = pose(0.62 + 0.0004 * i, 0.37), len(got)
         began = time.monotonic()
         goals.publish(goal)
         while len(got) == seen:

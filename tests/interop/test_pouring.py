@@ -18,7 +18,8 @@ from user import User, plain, pose, task
 
 TOLERANCE_M = 0.02
 SOURCE = (0.60, 0.10)
-GOALS = [(0.65, 0.30), (0.70, 0.20), (0.60, 0.35)]
+# As far from the cup as people pour: 0.25 to 0.3 m.
+GOALS = [(0.65, 0.37), (0.72, 0.34), (0.60, 0.38)]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -92,12 +93,17 @@ def assert_manner_matters(user, arm, set_manner):
     changed = []
     for axis in description.manner:
         set_manner(axis.name, 0.8)
-        after = assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0])
-        same_times = len(after.times) == len(before.times)
-        changed.append(np.abs(after.positions - before.positions).max() if same_times else 9.9)
+        user.goal_pose.publish(pose(*GOALS[0]))
+        joints = user.trajectory()
+        if joints is None:
+            # A manner of an extreme pour may break a bound of validity; then it is not served.
+            assert user.said("INVALID_MOTION"), [m.msg for m in user.log]
+        else:
+            after = assert_pours(joints, arm, GOALS[0])
+            changed.append(np.abs(after.positions - before.positions).max())
         set_manner(axis.name, 0.0)
     print("largest change of a joint by manner parameter, rad:", np.round(changed, 3))
-    assert max(changed) > 0.02
+    assert len(changed) >= 2 and sorted(changed)[-2] > 0.02
 
 
 def test_both_ways_to_set_manner_are_one(node, user):
@@ -241,8 +247,8 @@ def test_20_fresh_clients_one_after_another_are_all_served(node, make_client, ar
 def test_goals_in_a_burst_end_with_the_last_one(node, user, arm):
     user.publish_location("source_cup", *SOURCE)
     for i in range(30):
-        user.goal_pose.publish(pose(0.62 + 0.001 * i, 0.30))
-    last = (0.70, 0.25)
+        user.goal_pose.publish(pose(0.62 + 0.001 * i, 0.37))
+    last = (0.72, 0.34)
     user.goal_pose.publish(pose(*last))
     user.wait(1.0)
     assert not user.said("BUSY")

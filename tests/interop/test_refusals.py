@@ -3,18 +3,20 @@ goes on serving."""
 
 import json
 import math
+import random
+import re
 import shutil
 import struct
 
 import pytest
-from conftest import BINARIES, ROOT, start_node
+from conftest import ROOT, start_node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from tcvae_msgs.msg import ErrorCode
 from tcvae_msgs.srv import DescribePrimitive, LoadModel, SampleTrajectory, SetManner
-from user import location, pose, task
+from user import User, location, pose, task
 
-POUR, SOURCE = (0.65, 0.30), (0.60, 0.10)
+POUR, SOURCE = (0.65, 0.37), (0.60, 0.10)
 MODEL = ROOT / "models" / "pouring.safetensors"
 NAN, INF = math.nan, math.inf
 
@@ -52,17 +54,22 @@ def test_a_bad_goal_publishes_nothing_and_says_why(node, user, name):
     assert user.ask(*POUR)
 
 
+def printed_place(text, topic):
+    """The x and y of a printed `ros2 topic pub` line."""
+    line = next(line for line in text.splitlines() if f"/tcvae/{topic} " in line)
+    return [float(line.split(f"{axis}: ")[-1].split("}")[0].split(",")[0]) for axis in "xy"]
+
+
 def test_a_goal_before_any_source_cup_tells_which_line_is_missing(node, user):
-    user.goal_pose.publish(pose(*POUR))
+    goal = printed_place(node.output, "goal_pose")
+    user.goal_pose.publish(pose(*goal))
     user.hears("NO_TASK (1)")
     assert user.trajectory(timeout=0.5) is None
     (message,) = [m.msg for m in user.log if "NO_TASK" in m.msg]
     assert "ros2 topic pub --once /tcvae/source_cup geometry_msgs/msg/PointStamped" in message
-    # The line is one that works: publish what it says.
-    x, y = (float(message.split(f"{axis}: ")[1].split("}")[0].split(",")[0]) for axis in "xy")
-    user.publish_location("source_cup", x, y)
-    user.goal_pose.publish(pose(*POUR))
-    assert user.until(lambda: user.joints or user.said("OUT_OF_DISTRIBUTION"))
+    # What it says to publish is served, together with the goal that the node printed at start.
+    user.publish_location("source_cup", *printed_place(message, "source_cup"))
+    assert user.ask(*goal)
 
 
 @pytest.mark.parametrize(("point", "word"), [
@@ -223,6 +230,49 @@ def test_too_many_requests_at_once_are_busy_and_all_are_answered(node, user):
     assert_still_serves(user)
 
 
+# ---- Motions that fail a check ----
+
+def refusals_of_random_requests(user, requests):
+    """The messages by code that pours here and there, in manners up to the bounds, are refused
+    with."""
+    names = [m.name for m in user.call(DescribePrimitive, "describe_primitive").manner]
+    draw = random.Random(1)
+    place = lambda: (draw.uniform(0.3, 1.0), draw.uniform(-0.3, 0.8))
+    messages = {}
+    for _ in range(requests):
+        manner = [draw.uniform(-3, 3) for _ in names]
+        response = sample(user, task=task(place(), place()), allow_out_of_distribution=True,
+                          manner_names=names, manner_values=manner)
+        messages.setdefault(response.error_code, response.error_message)
+        assert (response.error_code == 0) == (len(response.samples) == 1)
+    return messages
+
+
+def test_motions_that_fail_a_check_say_by_how_much(node, user):
+    found = refusals_of_random_requests(user, 400)
+    for code, form in {
+        ErrorCode.UNREACHABLE: r"point \d+ of 100 .* is [\d.]+ cm out of reach .*; move ",
+        ErrorCode.JOINT_LIMIT: r"at point \d+ .* left_\w\d would be [\d.]+ rad beyond its limit of",
+        ErrorCode.TASK_CHECK_FAILED: r"(the tilt reaches \d+ of the 70 degrees|misses its task: .* m)",
+        ErrorCode.INVALID_MOTION: r"[\d.]+ \S+, limit [\d.]+",
+    }.items():
+        assert re.search(form, found[code]), found
+    assert found[ErrorCode.OK] == ""
+
+
+@pytest.mark.parametrize(("velocity", "code", "form"), [
+    (0.5, ErrorCode.TOO_FAST, r"[\d.]+ times slower .*, limit \d"),
+    (0.01, ErrorCode.JOINT_JUMP, r"before point \d+ .* left_\w\d would have to jump by [\d.]+ rad"),
+])
+def test_an_arm_that_is_too_slow_for_the_motion(start, make_client, tmp_path, velocity, code, form):
+    description = (ROOT / "config" / "baxter.urdf").read_text()
+    urdf = tmp_path / "slow.urdf"
+    urdf.write_text(re.sub(r'velocity="[^"]*"', f'velocity="{velocity}"', description))
+    start_node(start, "--urdf", str(urdf))
+    found = refusals_of_random_requests(User(make_client("user")), 150)
+    assert re.search(form, found[code]), found
+
+
 # ---- Model files ----
 
 def load(user, path):
@@ -278,6 +328,12 @@ def test_a_bad_model_file_is_refused_and_the_old_model_serves_on(node, user, tmp
     assert str(path) in user.try_parameter("model_path", str(path))
     assert user.parameter("model_path") == ""
     assert_still_serves(user)
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/", "/proc/self/mem", "a\nb"])
+def test_a_path_that_is_no_file_is_refused_at_once(node, user, path):
+    response = user.call(LoadModel, "load_model", path=path, timeout=2.0)
+    assert response.error_code == ErrorCode.BAD_FILE and path in response.error_message
 
 
 def test_a_good_model_file_is_loaded_by_service_and_by_parameter(node, user, tmp_path):
