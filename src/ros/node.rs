@@ -1,5 +1,5 @@
 //! The node: what its topics, services and parameters do with a
-//! [`PrimitiveServer`](crate::serving::PrimitiveServer).
+//! [`PrimitiveServer`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
