@@ -102,6 +102,26 @@ impl Trajectory {
         }
         Self { dim: self.dim, values }
     }
+
+    /// The same motion with `count` states more at either end. They continue it: each is the point
+    /// reflection of an inner state at the end state, so that neither place nor speed jumps.
+    #[must_use]
+    pub fn extended(&self, count: usize) -> Self {
+        let last = self.steps() - 1;
+        let reflected = |end: usize, inner: usize| {
+            let pair = self.state(end).iter().zip(self.state(inner));
+            pair.map(|(end, inner)| 2.0 * end - inner)
+        };
+        let mut values = Vec::with_capacity((self.steps() + 2 * count) * self.dim);
+        for k in (1..=count).rev() {
+            values.extend(reflected(0, k.min(last)));
+        }
+        values.extend(&self.values);
+        for k in 1..=count {
+            values.extend(reflected(last, last - k.min(last)));
+        }
+        Self { dim: self.dim, values }
+    }
 }
 
 /// A trajectory that takes a time: the states are equally spaced from 0 to `duration_secs`.
@@ -160,6 +180,17 @@ mod tests {
             assert!((state[0] - expected).abs() < 1e-12);
             assert!((state[1] + 2.0 * expected).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn extending_a_line_gives_the_longer_line() {
+        let extended = line(5).extended(3);
+        assert_eq!(extended.steps(), 11);
+        for (i, state) in extended.states().enumerate() {
+            let expected = i as f64 - 3.0;
+            assert_eq!(state, [expected, -2.0 * expected]);
+        }
+        assert_eq!(line(5).extended(0), line(5));
     }
 
     #[test]

@@ -31,6 +31,22 @@ pub struct NetworkConfig {
     /// training, leaves over. The decoder's mean is `A_t w + b_t + f(h, w, tau_t)`, and the
     /// recognition network sees the motion relative to the baseline. Not in the paper.
     pub task_baseline: bool,
+    /// Our variant: the networks see and decode a few states beyond either end, which are cut off
+    /// again. The zeros that convolutions see beyond a sequence then show in no state that is
+    /// served; without, motions jerk in the few steps at the ends. Not in the paper.
+    // Model files from before there were margins don't name them, and their digests are over that.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub margins: bool,
+}
+
+impl NetworkConfig {
+    /// Steps of the margin at either end, the sum of the dilations; 0 without margins.
+    pub(crate) fn margin(&self) -> usize {
+        match self.margins {
+            true => (0..self.layers.min(MAX_LAYERS)).map(ModelConfig::dilation).sum(),
+            false => 0,
+        }
+    }
 }
 
 impl Default for NetworkConfig {
@@ -42,6 +58,7 @@ impl Default for NetworkConfig {
             activation: Activation::Gelu,
             residual: true,
             task_baseline: false,
+            margins: false,
         }
     }
 }
@@ -50,7 +67,7 @@ impl Default for NetworkConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelConfig {
-    /// Steps of a trajectory, `T`.
+    /// Steps that the networks see: those of a trajectory, `T`, and the margins.
     pub steps: usize,
     /// Values of a state, `D`.
     pub state_dim: usize,
@@ -59,6 +76,9 @@ pub struct ModelConfig {
     /// The networks.
     pub network: NetworkConfig,
 }
+
+/// More layers see further than any trajectory is long.
+const MAX_LAYERS: usize = 12;
 
 /// Taps of a convolution: the step `dilation` before, the step itself, the step `dilation` after.
 pub(crate) const TAPS: usize = 3;
@@ -90,18 +110,24 @@ impl ModelConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         let NetworkConfig { latents, width, layers, .. } = self.network;
         for (name, value, lower, upper) in [
-            ("steps", self.steps, 2, 10_000),
+            ("layers", layers, 1, MAX_LAYERS),
+            ("steps", self.steps, 2 + 2 * self.margin(), 20_000),
             ("state_dim", self.state_dim, 1, 1000),
             ("task_dim", self.task_dim, 1, 1000),
             ("latents", latents, 1, 1000),
             ("width", width, 1, 10_000),
-            ("layers", layers, 1, 12),
         ] {
             if !(lower..=upper).contains(&value) {
                 return Err(ConfigError { name, value, lower, upper });
             }
         }
         Ok(())
+    }
+
+    /// Steps of the margin at either end: as far as the zeros beyond a sequence reach through all
+    /// convolutions.
+    pub(crate) fn margin(&self) -> usize {
+        self.network.margin()
     }
 
     /// Dilation of a layer: 1, 2, 4, …

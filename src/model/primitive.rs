@@ -77,14 +77,17 @@ impl TcVaePrimitive {
         let scale = || self.units.normalizer.state_scale.iter().cycle();
         let residual = decoded.mean.iter().zip(scale()).map(|(x, scale)| f64::from(*x) * scale);
         let centre = self.units.centre(&task);
-        let mean = residual.zip(centre).map(|(residual, centre)| centre + residual).collect();
+        let mean = residual.zip(centre).map(|(residual, centre)| centre + residual);
         let deviations = decoded.log_variance.iter().zip(scale());
-        let stddev = deviations.map(|(v, scale)| (0.5 * f64::from(*v)).exp() * scale).collect();
-        let trajectory = |values| {
+        let stddev = deviations.map(|(v, scale)| (0.5 * f64::from(*v)).exp() * scale);
+        let margin = self.decoder.config().margin() * self.state_dim();
+        let served = self.steps() * self.state_dim();
+        let trajectory = |values: &mut dyn Iterator<Item = f64>| {
+            let values = values.skip(margin).take(served).collect();
             Trajectory::new(self.state_dim(), values)
                 .expect("finite weights were checked, and tasks and manners are bounded")
         };
-        Generated { mean: trajectory(mean), stddev: trajectory(stddev) }
+        Generated { mean: trajectory(&mut { mean }), stddev: trajectory(&mut { stddev }) }
     }
 }
 
@@ -94,7 +97,8 @@ impl MovementPrimitive for TcVaePrimitive {
     }
 
     fn steps(&self) -> usize {
-        self.decoder.config().steps
+        let config = self.decoder.config();
+        config.steps - 2 * config.margin()
     }
 
     fn state_dim(&self) -> usize {
@@ -166,6 +170,29 @@ mod tests {
         // The variance of a standard normal cut off at 1.5: 1 - 3 phi(1.5) / (2 Phi(1.5) - 1).
         let variance = draws.iter().map(|h| h * h).sum::<f64>() / draws.len() as f64;
         assert!((variance - 0.5513).abs() < 0.02, "{variance}");
+    }
+
+    #[test]
+    fn with_margins_the_ends_of_a_sequence_show_nowhere() {
+        // Without the phase every step is the same, but for the zeros beyond the ends.
+        let steady = |margins: bool| {
+            let mut config = small(Activation::Gelu, true);
+            config.network.margins = margins;
+            config.steps += 2 * config.margin();
+            let mut weights = weights(&config, 1);
+            weights.get_mut("decoder.layers.0.weight").unwrap().values.fill(0.0);
+            let normalizer = Units::fit(&config, &demonstrations(50, config.steps, 1)).normalizer;
+            let manner = MannerSpace::unnamed(3, 3.0);
+            let primitive =
+                TcVaePrimitive::new(&config, &normalizer, &weights, space(), manner).unwrap();
+            let w = TaskParameters::new(&space(), vec![0.5, -0.5, 0.2, 0.1]).unwrap();
+            let Generated { mean, stddev } = primitive.generate(&w);
+            assert_eq!((mean.steps(), stddev.steps(), primitive.steps()), (12, 12, 12));
+            let first = mean.state(0).to_vec();
+            mean.states().all(|s| s.iter().zip(&first).all(|(a, b)| (a - b).abs() < 1e-6))
+        };
+        assert!(steady(true));
+        assert!(!steady(false));
     }
 
     #[test]

@@ -72,10 +72,12 @@ impl Recogniser {
         let Demonstration { w, motion, .. } = demonstration;
         assert_eq!(motion.states.dim(), self.config.state_dim, "the model's states");
         let task = self.units.task(w.values());
-        if motion.states.steps() == self.config.steps {
+        let margin = self.config.margin();
+        let steps = self.config.steps - 2 * margin;
+        if motion.states.steps() == steps && margin == 0 {
             self.units.states(&motion.states, &task)
         } else {
-            self.units.states(&motion.states.resampled(self.config.steps), &task)
+            self.units.states(&motion.states.resampled(steps).extended(margin), &task)
         }
     }
 }

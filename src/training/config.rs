@@ -87,12 +87,17 @@ pub struct SettingError {
 }
 
 impl TrainingConfig {
-    /// The settings for pouring: a hundred steps, and our variant's task baseline.
+    /// The settings for pouring: a hundred steps, the paper's beta, and our variant's task baseline
+    /// and margins.
     pub fn pouring() -> Self {
         Self {
             steps: 100,
-            beta: 1.0,
-            network: NetworkConfig { task_baseline: true, ..NetworkConfig::default() },
+            beta: 8.0,
+            network: NetworkConfig {
+                task_baseline: true,
+                margins: true,
+                ..NetworkConfig::default()
+            },
             ..Self::default()
         }
     }
@@ -127,8 +132,9 @@ impl TrainingConfig {
 
     /// The model that is trained on states and tasks of these sizes.
     pub fn model(&self, state_dim: usize, task_dim: usize) -> ModelConfig {
-        let Self { steps, ref network, .. } = *self;
-        ModelConfig { steps, state_dim, task_dim, network: network.clone() }
+        let network = self.network.clone();
+        let steps = self.steps.saturating_add(2 * network.margin());
+        ModelConfig { steps, state_dim, task_dim, network }
     }
 
     /// The learning rate after a share of the steps.

@@ -273,7 +273,7 @@ pub fn train(
 ) -> Result<Outcome, TrainingError> {
     let model = model_config(config, data)?;
     let resampled = |part: &[Demonstration]| -> Vec<Demonstration> {
-        part.iter().map(|d| resample(d, config.steps)).collect()
+        part.iter().map(|d| resample(d, config.steps, model.margin())).collect()
     };
     let (train, validation) = (resampled(&data.train), resampled(&data.validation));
     let units = Units::fit(&model, &train);
@@ -364,10 +364,14 @@ fn model_config(config: &TrainingConfig, data: &Splits) -> Result<ModelConfig, T
     Ok(model)
 }
 
-fn resample(demonstration: &Demonstration, steps: usize) -> Demonstration {
+fn resample(demonstration: &Demonstration, steps: usize, margin: usize) -> Demonstration {
     let mut demonstration = demonstration.clone();
-    if demonstration.motion.states.steps() != steps {
-        demonstration.motion.states = demonstration.motion.states.resampled(steps);
+    let states = &mut demonstration.motion.states;
+    if states.steps() != steps {
+        *states = states.resampled(steps);
+    }
+    if margin > 0 {
+        *states = states.extended(margin);
     }
     demonstration
 }

@@ -392,7 +392,8 @@ fn first_difference(a: &TrainingConfig, b: &TrainingConfig) -> Option<String> {
         flat
     };
     let (a, b) = (flat(a), flat(b));
-    a.into_iter().find(|(key, value)| b.get(key) != Some(value)).map(|(key, _)| key)
+    let differs = |key: &&String| a.get(*key) != b.get(*key);
+    a.keys().chain(b.keys()).find(differs).cloned()
 }
 
 /// What is shown and written while a training runs.
@@ -611,5 +612,9 @@ mod tests {
         assert_eq!(first_difference(&a, &b), None);
         b.network.width = 64;
         assert_eq!(first_difference(&a, &b).unwrap(), "network.width");
+        // What is not written unless it is set counts too.
+        b = a.clone();
+        b.network.margins = true;
+        assert_eq!(first_difference(&a, &b).unwrap(), "network.margins");
     }
 }
