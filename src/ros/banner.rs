@@ -7,7 +7,7 @@ use super::convert::Frames;
 use super::environment::{DiscoveryRange, Environment};
 use super::names::NodeNames;
 use crate::evaluation::{Evaluation, Score};
-use crate::parameters::{Interval, TaskLocation};
+use crate::parameters::{Interval, MannerAxis, TaskLocation};
 use crate::serving::Description;
 
 /// What the banner tells of.
@@ -45,7 +45,7 @@ impl Banner<'_> {
             path => path.to_owned(),
         };
         let data = match description.synthetic_data {
-            true => "simulated",
+            true => "synthetic",
             false => "recorded",
         };
         let mut text = format!(
@@ -108,7 +108,9 @@ impl Banner<'_> {
             ));
         }
         commands.push(format!("ros2 service call {} std_srvs/srv/Trigger", service("~/sample")));
-        if let Some(axis) = self.description.manner.first() {
+        // One that does something: its effect begins with a number.
+        let told = |axis: &&MannerAxis| axis.effect.starts_with(['+', '-']);
+        if let Some(axis) = self.description.manner.iter().find(told) {
             commands.push(format!("ros2 param set {} manner.{} 1.0", self.names, axis.name));
         }
         commands
@@ -151,7 +153,6 @@ fn scores(evaluation_json: &str, unit: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parameters::MannerAxis;
 
     const EVALUATION: &str = r#"{
         "success": [{"threshold": 0.02, "mean": 0.91, "low": 0.89, "high": 0.93}],
@@ -209,7 +210,7 @@ mod tests {
         let text = text(EVALUATION);
         for expected in [
             "serves pouring as /left/tcvae in domain 0 (the whole subnet)",
-            "model   0123456789ab (built in), trained on simulated demonstrations",
+            "model   0123456789ab (built in), trained on synthetic demonstrations",
             "robot   baxter (my.urdf), 7 joints from base to left_gripper",
             "scores  robustness 0.880 [0.860, 0.900] within 0.02 m",
             "scores  3 active latents, leak R2 0.040, 400 test cases",

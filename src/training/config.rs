@@ -87,12 +87,12 @@ pub struct SettingError {
 }
 
 impl TrainingConfig {
-    /// The settings for pouring: a hundred steps, the paper's beta, and our variant's task baseline
+    /// The settings for pouring: a hundred steps, and our variant's task baseline
     /// and margins.
     pub fn pouring() -> Self {
         Self {
             steps: 100,
-            beta: 8.0,
+            beta: 1.0,
             network: NetworkConfig {
                 task_baseline: true,
                 margins: true,

@@ -309,7 +309,7 @@ def test_localhost_only_of_older_distributions_is_followed(start, client):
 
 def test_the_banner_tells_what_is_served(node):
     for word in ["serves pouring as /tcvae", "robot   baxter (built in), 7 joints",
-                 "scores  robust and valid", "trained on simulated demonstrations",
+                 "scores  robust and valid", "trained on synthetic demonstrations",
                  "ros2 topic pub --once /tcvae/source_cup geometry_msgs/msg/PointStamped"]:
         assert word in node.output
 
