@@ -25,6 +25,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::value::{RawValue, to_raw_value};
 use sha2::{Digest, Sha256};
 
 use crate::demonstrations::TaskConfig;
@@ -324,24 +325,25 @@ impl Artifact {
     }
 }
 
-/// What stands in the metadata.
+/// What stands in the metadata. The document's digest is over its text, so that a program that
+/// knows more settings reads it too.
 #[derive(Serialize, Deserialize)]
-struct Envelope<D> {
+struct Envelope {
     kind: String,
     format_version: u32,
     tensors_sha256: String,
     document_sha256: String,
-    document: D,
+    document: Box<RawValue>,
 }
 
 /// Tensors and a document as the bytes of a safetensors file.
 pub fn encode(tensors: &Weights, kind: &str, document: &impl Serialize) -> Vec<u8> {
-    let text = serde_json::to_string(document).expect("a document is JSON");
+    let document = to_raw_value(document).expect("a document is JSON");
     let envelope = Envelope {
         kind: kind.into(),
         format_version: FORMAT_VERSION,
         tensors_sha256: tensors_digest(tensors),
-        document_sha256: hex(&Sha256::digest(text)),
+        document_sha256: hex(&Sha256::digest(document.get())),
         document,
     };
     let envelope = serde_json::to_string(&envelope).expect("a document is JSON");
@@ -358,7 +360,7 @@ pub fn encode(tensors: &Weights, kind: &str, document: &impl Serialize) -> Vec<u
 ///
 /// # Errors
 /// Why they are not what was written.
-pub fn decode<D: Serialize + DeserializeOwned>(
+pub fn decode<D: DeserializeOwned>(
     bytes: &[u8],
     kind: &'static str,
 ) -> Result<(D, Weights), ArtifactError> {
@@ -382,9 +384,9 @@ pub fn decode<D: Serialize + DeserializeOwned>(
     if found.format_version > FORMAT_VERSION {
         return Err(ArtifactError::Version { found: found.format_version });
     }
-    let Envelope { tensors_sha256, document_sha256, document, .. } =
-        serde_json::from_str::<Envelope<D>>(text)
-            .map_err(|e| ArtifactError::Document { detail: e.to_string() })?;
+    let unreadable = |e: serde_json::Error| ArtifactError::Document { detail: e.to_string() };
+    let envelope: Envelope = serde_json::from_str(text).map_err(unreadable)?;
+    let Envelope { tensors_sha256, document_sha256, document, .. } = envelope;
 
     let mut tensors = Weights::new();
     for (name, view) in SafeTensors::deserialize(bytes).map_err(safetensors)?.tensors() {
@@ -395,16 +397,15 @@ pub fn decode<D: Serialize + DeserializeOwned>(
         let values = view.data().chunks_exact(4).map(value).collect();
         tensors.insert(name, NamedTensor { shape: view.shape().to_vec(), values });
     }
-    let text = serde_json::to_string(&document).expect("a document is JSON");
     for (part, found, expected) in [
         ("tensors", tensors_digest(&tensors), tensors_sha256),
-        ("metadata", hex(&Sha256::digest(text)), document_sha256),
+        ("metadata", hex(&Sha256::digest(document.get())), document_sha256),
     ] {
         if found != expected {
             return Err(ArtifactError::Digest { part, found, expected });
         }
     }
-    Ok((document, tensors))
+    Ok((serde_json::from_str(document.get()).map_err(unreadable)?, tensors))
 }
 
 /// Reads a whole file.

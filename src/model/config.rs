@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+#[cfg(feature = "train")]
+use crate::trajectory::Trajectory;
+
 /// Nonlinearity of every hidden layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -34,8 +37,6 @@ pub struct NetworkConfig {
     /// Our variant: the networks see and decode a few states beyond either end, which are cut off
     /// again. The zeros that convolutions see beyond a sequence then show in no state that is
     /// served; without, motions jerk in the few steps at the ends. Not in the paper.
-    // Model files from before there were margins don't name them, and their digests are over that.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub margins: bool,
 }
 
@@ -128,6 +129,20 @@ impl ModelConfig {
     /// convolutions.
     pub(crate) fn margin(&self) -> usize {
         self.network.margin()
+    }
+
+    /// Steps of a motion, `T`.
+    pub(crate) fn motion_steps(&self) -> usize {
+        self.steps - 2 * self.margin()
+    }
+
+    /// A motion's states as the networks see them: `T` steps and the margins.
+    #[cfg(feature = "train")]
+    pub(crate) fn sequence(&self, states: &Trajectory) -> Trajectory {
+        match states.steps() == self.motion_steps() {
+            true => states.extended(self.margin()),
+            false => states.resampled(self.motion_steps()).extended(self.margin()),
+        }
     }
 
     /// Dilation of a layer: 1, 2, 4, …

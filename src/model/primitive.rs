@@ -97,8 +97,7 @@ impl MovementPrimitive for TcVaePrimitive {
     }
 
     fn steps(&self) -> usize {
-        let config = self.decoder.config();
-        config.steps - 2 * config.margin()
+        self.decoder.config().motion_steps()
     }
 
     fn state_dim(&self) -> usize {

@@ -71,14 +71,7 @@ impl Recogniser {
     fn normalised(&self, demonstration: &Demonstration) -> Vec<f32> {
         let Demonstration { w, motion, .. } = demonstration;
         assert_eq!(motion.states.dim(), self.config.state_dim, "the model's states");
-        let task = self.units.task(w.values());
-        let margin = self.config.margin();
-        let steps = self.config.steps - 2 * margin;
-        if motion.states.steps() == steps && margin == 0 {
-            self.units.states(&motion.states, &task)
-        } else {
-            self.units.states(&motion.states.resampled(steps).extended(margin), &task)
-        }
+        self.units.states(&self.config.sequence(&motion.states), &self.units.task(w.values()))
     }
 }
 

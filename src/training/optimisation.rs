@@ -17,6 +17,7 @@ use crate::model::{
     PartGradients, Posterior, Recogniser, Recognition, Strengths, Terms, Units, Weights,
     WeightsError, time_major,
 };
+use crate::trajectory::Motion;
 
 /// Why a training can't start or go on.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -272,13 +273,13 @@ pub fn train(
     observe: &mut dyn FnMut(Progress<'_>),
 ) -> Result<Outcome, TrainingError> {
     let model = model_config(config, data)?;
-    let resampled = |part: &[Demonstration]| -> Vec<Demonstration> {
-        part.iter().map(|d| resample(d, config.steps, model.margin())).collect()
+    let sequences = |part: &[Demonstration]| -> Vec<Demonstration> {
+        part.iter().map(|d| as_sequence(&model, d)).collect()
     };
-    let (train, validation) = (resampled(&data.train), resampled(&data.validation));
+    let train = sequences(&data.train);
     let units = Units::fit(&model, &train);
     let train = Normalised::new(&model, &units, &train);
-    let held_out = Normalised::new(&model, &units, &validation);
+    let held_out = Normalised::new(&model, &units, &sequences(&data.validation));
 
     let layouts = layouts(config, &model);
     let objective = Objective::new(&model, config.adversary.width, config.backend);
@@ -335,7 +336,7 @@ pub fn train(
     let normalizer = units.normalizer;
     let recogniser = Recogniser::new(&model, &normalizer, &weights, config.backend)
         .expect("weights that were just trained");
-    let latents = statistics(&recogniser.recognise(&validation));
+    let latents = statistics(&recogniser.recognise(&data.validation));
     let last_epoch = state.report;
     Ok(Outcome::Finished(Box::new(Trained { model, normalizer, weights, latents, last_epoch })))
 }
@@ -364,16 +365,11 @@ fn model_config(config: &TrainingConfig, data: &Splits) -> Result<ModelConfig, T
     Ok(model)
 }
 
-fn resample(demonstration: &Demonstration, steps: usize, margin: usize) -> Demonstration {
-    let mut demonstration = demonstration.clone();
-    let states = &mut demonstration.motion.states;
-    if states.steps() != steps {
-        *states = states.resampled(steps);
-    }
-    if margin > 0 {
-        *states = states.extended(margin);
-    }
-    demonstration
+/// The demonstration with what the networks see in place of its states.
+fn as_sequence(model: &ModelConfig, demonstration: &Demonstration) -> Demonstration {
+    let Demonstration { id, w, motion } = demonstration;
+    let motion = Motion { states: model.sequence(&motion.states), ..*motion };
+    Demonstration { id: id.clone(), w: w.clone(), motion }
 }
 
 /// The gradients of a batch from those of its parts, in their order.
