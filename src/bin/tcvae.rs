@@ -58,11 +58,22 @@ impl Verb {
     }
 }
 
+/// The error with its causes. Some errors tell their cause themselves; nothing is said twice.
+fn message(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |message, cause| {
+        match message.is_empty() || message.contains(&cause) {
+            true if message.is_empty() => cause,
+            true => message,
+            false => format!("{message}: {cause}"),
+        }
+    })
+}
+
 fn main() -> ExitCode {
     let Cli { verb } = Cli::parse();
     let json = verb.json();
     let status = verb.run().unwrap_or_else(|error| {
-        let message = format!("{error:#}");
+        let message = message(&error);
         if json {
             print_json(&serde_json::json!({ "error_message": message }));
         }
@@ -70,4 +81,24 @@ fn main() -> ExitCode {
         ExitStatus::of(&error)
     });
     ExitCode::from(status as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context;
+
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("cannot read a file: {source}")]
+    struct Told {
+        source: std::io::Error,
+    }
+
+    #[test]
+    fn no_cause_is_told_twice() {
+        let error = Told { source: std::io::Error::other("disk on fire") };
+        let error = Err::<(), _>(error).context("model.safetensors").unwrap_err();
+        assert_eq!(message(&error), "model.safetensors: cannot read a file: disk on fire");
+    }
 }
