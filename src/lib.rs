@@ -16,6 +16,7 @@
 //! | [`pose`] | end-effector poses, and how they become 6-D states |
 //! | [`primitive`] | the traits of a movement primitive |
 //! | [`kinematics`] | chains, forward kinematics, inverse kinematics of whole paths, timing |
+//! | [`primitives`] | baselines: task-parameterised Gaussian mixtures, ProMPs, DMPs, time warping |
 //! | [`model`] | the TC-VAE: its networks, its objective, and its packed decoder |
 //! | [`demonstrations`] | tasks, what they measure, and the demonstrations of them |
 //! | [`evaluation`] | SUCCESS, ROBUSTNESS, leak, validity |
@@ -34,6 +35,8 @@ pub mod pose;
 pub mod primitive;
 
 pub mod kinematics;
+
+pub mod primitives;
 
 pub mod model;
 

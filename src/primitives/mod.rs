@@ -1,0 +1,268 @@
+//! Classical movement primitives, as baselines behind [`MovementPrimitive`]: task-parameterised
+//! Gaussian mixtures, probabilistic and dynamic movement primitives. They have no manner
+//! parameters; each answers a task with its one mean motion.
+//!
+//! What a task means to them: each location `(x, y)` of the task space is a frame that is only
+//! translated, in the first two values of the state. The rest of the state is the world's.
+//!
+//! [`MovementPrimitive`]: crate::primitive::MovementPrimitive
+
+pub mod dmp;
+pub mod dtw;
+pub mod gmm;
+pub mod promp;
+pub mod tp_gmm;
+
+pub use dmp::{DmpConfig, DmpPrimitive};
+pub use promp::{ProMp, ProMpConfig};
+pub use tp_gmm::{TpGmm, TpGmmConfig};
+
+use crate::parameters::{TaskParameters, TaskSpace};
+use crate::primitive::{Demonstration, Generated};
+use crate::trajectory::Trajectory;
+
+/// Why a primitive can't be fitted, or parts are not a primitive.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PrimitiveError {
+    /// Too few demonstrations, or samples.
+    #[error("{found} {what} where at least {needed} are needed; add more, or lower {setting}")]
+    TooFew {
+        /// What there is too little of.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many it takes.
+        needed: usize,
+        /// The setting that asks for so many.
+        setting: &'static str,
+    },
+    /// A demonstration that speaks of something else than the first, or than the task space.
+    #[error("demonstration {id} has {found} {values} where {expected} are needed")]
+    Mismatch {
+        /// The demonstration.
+        id: String,
+        /// What differs.
+        values: &'static str,
+        /// Its number.
+        found: usize,
+        /// The number that it needs.
+        expected: usize,
+    },
+    /// A setting outside its range.
+    #[error("{name} is {value}; it must be {range}")]
+    Setting {
+        /// Name of the setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// A matrix that has to be positive definite and is not, to the precision of a number.
+    #[error(
+        "the {matrix} of part {index} is not positive definite; raise the regularization, or use \
+         fewer components or weights"
+    )]
+    NotPositiveDefinite {
+        /// Which matrix.
+        matrix: &'static str,
+        /// Which of them, such as the mixture's component.
+        index: usize,
+    },
+    /// Stored parts that don't fit together.
+    #[error("the stored {primitive} does not fit together: {detail}")]
+    Parts {
+        /// Which primitive.
+        primitive: &'static str,
+        /// What does not fit, with its numbers.
+        detail: String,
+    },
+}
+
+/// Checks that demonstrations are of one kind and of this task space, and returns the number of
+/// values in their states.
+fn check(
+    space: &TaskSpace,
+    steps: usize,
+    demonstrations: &[Demonstration],
+    needed: usize,
+) -> Result<usize, PrimitiveError> {
+    if steps < 2 {
+        return Err(PrimitiveError::Setting {
+            name: "steps",
+            value: steps as f64,
+            range: "at least 2",
+        });
+    }
+    let found = demonstrations.len();
+    if found < needed.max(1) {
+        let (what, setting) = ("demonstrations", "what the primitive learns from them");
+        return Err(PrimitiveError::TooFew { what, found, needed: needed.max(1), setting });
+    }
+    let dim = demonstrations[0].motion.states.dim();
+    for Demonstration { id, w, motion } in demonstrations {
+        let mismatch = |values, found, expected| PrimitiveError::Mismatch {
+            id: id.clone(),
+            values,
+            found,
+            expected,
+        };
+        if motion.states.dim() != dim {
+            return Err(mismatch("values in a state", motion.states.dim(), dim));
+        }
+        if dim < 2 && space.dim() > 0 {
+            return Err(mismatch("values in a state, of which a location moves two,", dim, 2));
+        }
+        if w.values().len() != space.dim() {
+            return Err(mismatch("task parameters", w.values().len(), space.dim()));
+        }
+    }
+    Ok(dim)
+}
+
+/// The demonstrations in `steps` states each, and where `align` says so with the timing of the
+/// most typical one.
+///
+/// Aligned is by [`dtw`], on the motions as seen from each location, side by side, every value
+/// divided by its standard deviation over all demonstrations. The most typical demonstration is
+/// the one nearest to the mean of these.
+fn prepared(steps: usize, align: bool, demonstrations: &[Demonstration]) -> Vec<Trajectory> {
+    let motions: Vec<Trajectory> =
+        demonstrations.iter().map(|d| d.motion.states.resampled(steps)).collect();
+    if !align || motions.len() < 2 {
+        return motions;
+    }
+    let mut views: Vec<Vec<f64>> =
+        motions.iter().zip(demonstrations).map(|(m, d)| seen_from_locations(m, &d.w)).collect();
+    let dim = views[0].len() / steps;
+    let count = (views.len() * steps) as f64;
+    for i in 0..dim {
+        let values = || views.iter().flat_map(|v| v.iter().skip(i).step_by(dim));
+        let mean = values().sum::<f64>() / count;
+        let deviation = (values().map(|v| (v - mean).powi(2)).sum::<f64>() / count).sqrt();
+        // A value that never changes says nothing about timing.
+        let scale = if deviation > 1e-12 { 1.0 / deviation } else { 0.0 };
+        for view in &mut views {
+            view.iter_mut().skip(i).step_by(dim).for_each(|v| *v *= scale);
+        }
+    }
+    let mean: Vec<f64> = (0..steps * dim)
+        .map(|i| views.iter().map(|v| v[i]).sum::<f64>() / views.len() as f64)
+        .collect();
+    let from_mean =
+        |view: &[f64]| view.iter().zip(&mean).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+    let distances: Vec<f64> = views.iter().map(|v| from_mean(v)).collect();
+    let typical = (0..views.len()).min_by(|a, b| distances[*a].total_cmp(&distances[*b]));
+    let views: Vec<Trajectory> = views
+        .into_iter()
+        .map(|v| Trajectory::new(dim, v).expect("finite states, seen from finite locations"))
+        .collect();
+    let reference = &views[typical.expect("there are demonstrations")];
+    let warp = |(view, motion)| {
+        dtw::warp(view, reference, dtw::StepPattern::Symmetric2).applied(motion, steps)
+    };
+    views.iter().zip(&motions).map(warp).collect()
+}
+
+/// The motion's states as seen from each location of the task, side by side, row by row; as they
+/// are where the task has no location.
+fn seen_from_locations(motion: &Trajectory, w: &TaskParameters) -> Vec<f64> {
+    let locations = w.values().chunks_exact(2);
+    if locations.len() == 0 {
+        return motion.values().to_vec();
+    }
+    let seen = |state: &[f64]| -> Vec<f64> {
+        let from = |l: &[f64]| {
+            let (x, y) = (state[0] - l[0], state[1] - l[1]);
+            [x, y].into_iter().chain(state[2..].iter().copied()).collect::<Vec<_>>()
+        };
+        locations.clone().flat_map(from).collect()
+    };
+    motion.states().flat_map(seen).collect()
+}
+
+/// A mean and variances, each `[steps, dim]` row by row, as what a primitive answers.
+///
+/// # Panics
+/// When they are not finite, which they are for any task of the magnitude that tasks have.
+fn generated(dim: usize, mean: Vec<f64>, variances: Vec<f64>) -> Generated {
+    let stddev = variances.into_iter().map(|v| v.max(0.0).sqrt()).collect();
+    let trajectory =
+        |values| Trajectory::new(dim, values).expect("checked parts give finite states");
+    Generated { mean: trajectory(mean), stddev: trajectory(stddev) }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::parameters::{Interval, TaskLocation};
+    use crate::trajectory::Motion;
+
+    /// A space of this many locations.
+    pub(crate) fn space(locations: usize) -> TaskSpace {
+        let interval = Interval { lower: -1.0, upper: 1.0 };
+        let location = |i| TaskLocation { name: format!("location_{i}"), x: interval, y: interval };
+        TaskSpace::new("m", (0..locations).map(location).collect()).unwrap()
+    }
+
+    pub(crate) fn task(w: &[f64]) -> TaskParameters {
+        TaskParameters::new(&space(w.len() / 2), w.to_vec()).unwrap()
+    }
+
+    /// A number in `[-1, 1]` that looks random.
+    fn scattered(i: usize) -> f64 {
+        2.0 * (43_758.545_3 * (12.9898 * i as f64 + 4.1).sin()).rem_euclid(1.0) - 1.0
+    }
+
+    /// Minimum-jerk motions with a bump in height, each with a timing of its own: from the second
+    /// location to the first one, or around the only one, or from 0 to 1.
+    pub(crate) fn demonstrations(locations: usize, count: usize) -> Vec<Demonstration> {
+        let one = |n: usize| {
+            let w: Vec<f64> = (0..2 * locations).map(|i| 0.5 * scattered(7 * n + i)).collect();
+            let (from, to) = match locations {
+                0 => ([0.0; 2], [1.0; 2]),
+                1 => ([w[0] - 0.2, w[1]], [w[0] + 0.2, w[1]]),
+                _ => ([w[2], w[3]], [w[0], w[1]]),
+            };
+            let (height, late) = (0.3 + 0.03 * scattered(n), 1.0 + 0.3 * scattered(n + 1000));
+            let steps = 50 + n % 3;
+            let values = (0..steps).flat_map(|t| {
+                let s = (t as f64 / (steps - 1) as f64).powf(late);
+                let share = s * s * s * (10.0 + s * (6.0 * s - 15.0));
+                let [x, y] = [0, 1].map(|i| from[i] + share * (to[i] - from[i]));
+                [x, y, height * 16.0 * (s * (1.0 - s)).powi(2)]
+            });
+            let states = Trajectory::new(3, values.collect()).unwrap();
+            let motion = Motion { states, duration_secs: 2.0 };
+            Demonstration { id: n.to_string(), w: task(&w), motion }
+        };
+        (0..count).map(one).collect()
+    }
+
+    pub(crate) fn largest_difference(a: &Trajectory, b: &Trajectory) -> f64 {
+        assert_eq!((a.steps(), a.dim()), (b.steps(), b.dim()));
+        a.values().iter().zip(b.values()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn alignment_takes_the_timing_out_and_keeps_the_ends() {
+        let demonstrations = demonstrations(2, 12);
+        let spread = |motions: &[Trajectory]| {
+            let variance = |t: usize| {
+                let heights: Vec<f64> = motions.iter().map(|m| m.state(t)[2]).collect();
+                let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+                heights.iter().map(|h| (h - mean).powi(2)).sum::<f64>() / heights.len() as f64
+            };
+            (0..60).map(variance).sum::<f64>() / 60.0
+        };
+        let (raw, aligned) =
+            (prepared(60, false, &demonstrations), prepared(60, true, &demonstrations));
+        assert!(spread(&aligned) < 0.3 * spread(&raw), "{} {}", spread(&aligned), spread(&raw));
+        for (a, b) in raw.iter().zip(&aligned) {
+            for (a, b) in [(a.state(0), b.state(0)), (a.state(59), b.state(59))] {
+                assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 0.02), "{a:?} {b:?}");
+            }
+        }
+    }
+}
