@@ -41,6 +41,7 @@ struct GoldenWarping {
     query: Rows,
     reference: Rows,
     distance: f64,
+    window: Option<usize>,
     path: Vec<(usize, usize)>,
 }
 
@@ -53,7 +54,8 @@ fn warpings_are_those_of_dtw_python() {
             "symmetric1" => StepPattern::Symmetric1,
             _ => StepPattern::Symmetric2,
         };
-        let found = warp(&trajectory(&case.query), &trajectory(&case.reference), pattern);
+        let found =
+            warp(&trajectory(&case.query), &trajectory(&case.reference), pattern, case.window);
         let GoldenWarping { name, distance, path, .. } = case;
         assert!((found.distance - distance).abs() < 1e-10 * distance, "{name}");
         assert_eq!(found.path, path, "{name}");
@@ -175,9 +177,9 @@ fn a_task_parameterised_mixture_is_the_one_of_the_papers_equations() {
         components: golden.components,
         max_iterations: golden.iterations,
         // Every step is taken, whatever it gains.
-        tolerance: -1e9,
+        tolerance: -1.0,
         regularization: golden.regularization,
-        align: false,
+        alignment_window: 0.0,
     };
     let motions: Vec<Trajectory> = golden.motions.iter().map(trajectory).collect();
     let demonstrated: Vec<_> = golden.frames.iter().map(frames).collect();
@@ -288,7 +290,7 @@ fn fits_and_rollouts_are_those_of_movement_primitives_dmp() {
     for case in golden_dmps().vectors {
         println!("{}", case.name);
         let GoldenDmp { basis_functions, ridge, smooth_scaling, .. } = case;
-        let config = DmpConfig { basis_functions, ridge, smooth_scaling, align: false };
+        let config = DmpConfig { basis_functions, ridge, smooth_scaling, alignment_window: 0.0 };
         let dmp = Dmp::fit(&config, &trajectory(&case.motion)).expect("a ridge");
         assert_close(dmp.weights.as_slice(), matrix(&case.weights).as_slice(), 1e-6);
         let steps = case.motion.len();
@@ -306,7 +308,7 @@ fn fits_and_rollouts_are_those_of_movement_primitives_cartesian_dmp() {
     for case in golden_dmps().orientations {
         println!("{}", case.name);
         let GoldenOrientationDmp { basis_functions, ridge, smooth_scaling, .. } = case;
-        let config = DmpConfig { basis_functions, ridge, smooth_scaling, align: false };
+        let config = DmpConfig { basis_functions, ridge, smooth_scaling, alignment_window: 0.0 };
         let orientations: Vec<_> = case.quaternions_wxyz.into_iter().map(quaternion).collect();
         let dmp = OrientationDmp::fit(&config, &orientations).expect("a ridge");
         assert_close(dmp.weights.as_slice(), matrix(&case.weights).as_slice(), 1e-6);

@@ -6,6 +6,9 @@ pub mod leak;
 pub mod manner;
 #[cfg(test)]
 mod oracles;
+mod primitive;
+
+pub use primitive::{PrimitiveEvaluation, evaluate_primitive};
 
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
@@ -16,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::demonstrations::{Demonstration, Splits, Task};
 use crate::model::{Posterior, Recognition};
 use crate::parameters::{MannerParameters, MannerSpace, TaskParameters};
-use crate::primitive::MannerConditioned;
+use crate::primitive::{MannerConditioned, MovementPrimitive};
 use crate::trajectory::{Motion, Trajectory};
 use intervals::Share;
 use leak::Encodings;
@@ -260,16 +263,22 @@ fn check<M: MannerConditioned + ?Sized>(model: &M, splits: &Splits) -> Result<()
         if part.len() < needed {
             return Err(EvaluationError::TooFew { split, found: part.len(), needed });
         }
-        for Demonstration { id, w, motion } in part {
-            for (values, found, expected) in [
-                ("values in a state", motion.states.dim(), model.state_dim()),
-                ("task parameters", w.values().len(), model.task_space().dim()),
-            ] {
-                if found != expected {
-                    let id = id.clone();
-                    return Err(EvaluationError::Mismatch { id, values, found, expected });
-                }
-            }
+        part.iter().try_for_each(|demonstration| check_same(model, demonstration))?;
+    }
+    Ok(())
+}
+
+/// Checks that the demonstration is of the model's task and states.
+fn check_same<P: MovementPrimitive + ?Sized>(
+    model: &P,
+    Demonstration { id, w, motion }: &Demonstration,
+) -> Result<(), EvaluationError> {
+    for (values, found, expected) in [
+        ("values in a state", motion.states.dim(), model.state_dim()),
+        ("task parameters", w.values().len(), model.task_space().dim()),
+    ] {
+        if found != expected {
+            return Err(EvaluationError::Mismatch { id: id.clone(), values, found, expected });
         }
     }
     Ok(())

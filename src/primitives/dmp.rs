@@ -19,12 +19,12 @@
 //!
 //! [`Motion`]: crate::trajectory::Motion
 
-use nalgebra::{Cholesky, DMatrix, DVector, UnitQuaternion, Vector3};
+use nalgebra::{Cholesky, DMatrix, DVector, Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use super::{PrimitiveError, check, generated, prepared};
+use super::{PrimitiveError, check, check_window, generated, prepared};
 use crate::parameters::{TaskParameters, TaskSpace};
 use crate::primitive::{Demonstration, Generated, MovementPrimitive};
 use crate::trajectory::Trajectory;
@@ -48,22 +48,25 @@ pub struct DmpConfig {
     pub basis_functions: usize,
     /// Ridge of the regression of the weights.
     pub ridge: f64,
-    /// Whether the spring's pull towards a new goal grows with time instead of starting at once.
+    /// Whether the spring's pull towards a new goal grows with time instead of starting at once. A
+    /// motion then starts gently whatever its goal, but follows a new goal late: 2.5 % of the
+    /// difference are missing at the end, and more before it, where pours happen.
     pub smooth_scaling: bool,
-    /// Whether the demonstrations get the timing of the most typical one first, by dynamic time
-    /// warping; only [`DmpPrimitive`] asks.
-    pub align: bool,
+    /// Share of the motion by which dynamic time warping may move its steps, to give the
+    /// demonstrations the timing of the most typical one first; with 0 they keep their own. Only [`DmpPrimitive`] asks.
+    pub alignment_window: f64,
 }
 
 impl Default for DmpConfig {
     fn default() -> Self {
-        Self { basis_functions: 30, ridge: 1e-9, smooth_scaling: true, align: true }
+        Self { basis_functions: 30, ridge: 1e-9, smooth_scaling: false, alignment_window: 0.0 }
     }
 }
 
 impl DmpConfig {
     fn check(&self) -> Result<(), PrimitiveError> {
-        let Self { basis_functions, ridge, smooth_scaling: _, align: _ } = *self;
+        let Self { basis_functions, ridge, smooth_scaling: _, alignment_window } = *self;
+        check_window(alignment_window)?;
         let error = |name, value, range| Err(PrimitiveError::Setting { name, value, range });
         if !(2..=1000).contains(&basis_functions) {
             return error("basis_functions", basis_functions as f64, "from 2 to 1000");
@@ -80,18 +83,34 @@ fn z(s: f64) -> f64 {
     (FINAL_PHASE.ln() * s).exp()
 }
 
-/// What the forcing term multiplies its weights with at `z`: `z psi(z)`, where the psi sum to 1.
-/// Their centres are z at equal steps of phase.
-fn activations(count: usize, z_now: f64) -> DVector<f64> {
-    let center = |i: usize| z(i as f64 / (count - 1) as f64);
-    let value = |i: usize| {
-        let next = i.min(count - 2);
-        let width = -OVERLAP.ln() / (center(next + 1) - center(next)).powi(2);
-        (-width * (z_now - center(i)).powi(2)).exp()
-    };
-    let values = DVector::from_fn(count, |i, _| value(i));
-    let scale = z_now / values.sum();
-    values * scale
+/// The functions that the forcing term multiplies its weights with: `z psi(z)`, where the psi are
+/// Gaussians of z that sum to 1, with centres at equal steps of phase.
+struct Basis {
+    centers: Vec<f64>,
+    widths: Vec<f64>,
+}
+
+impl Basis {
+    /// # Panics
+    /// With fewer than two functions.
+    fn new(count: usize) -> Self {
+        let centers: Vec<f64> = (0..count).map(|i| z(i as f64 / (count - 1) as f64)).collect();
+        // The last one's neighbour is the one before it.
+        let width = |i: usize| {
+            let i = i.min(count - 2);
+            -OVERLAP.ln() / (centers[i + 1] - centers[i]).powi(2)
+        };
+        let widths = (0..count).map(width).collect();
+        Self { centers, widths }
+    }
+
+    fn at(&self, z: f64) -> DVector<f64> {
+        let functions = self.centers.iter().zip(&self.widths);
+        let values = functions.map(|(center, width)| (-width * (z - center).powi(2)).exp());
+        let values = DVector::from_iterator(self.centers.len(), values);
+        let scale = z / values.sum();
+        values * scale
+    }
 }
 
 /// The weights `[dim, basis_functions]` whose forcing term comes nearest to `forces`, one column
@@ -99,9 +118,8 @@ fn activations(count: usize, z_now: f64) -> DVector<f64> {
 fn fit_forces(config: &DmpConfig, forces: &DMatrix<f64>) -> Result<DMatrix<f64>, PrimitiveError> {
     config.check()?;
     let last = (forces.ncols() - 1) as f64;
-    let columns: Vec<_> = (0..forces.ncols())
-        .map(|t| activations(config.basis_functions, z(t as f64 / last)))
-        .collect();
+    let basis = Basis::new(config.basis_functions);
+    let columns: Vec<_> = (0..forces.ncols()).map(|t| basis.at(z(t as f64 / last))).collect();
     let design = DMatrix::from_columns(&columns);
     let mut normal = &design * design.transpose();
     for i in 0..config.basis_functions {
@@ -158,6 +176,7 @@ fn integrate<S: Clone>(
     let per_step = (1.0 / ((steps - 1) as f64 * LONGEST_STEP) - 1e-9).ceil().max(1.0) as usize;
     let substeps = (steps - 1) * per_step;
     let ds = 1.0 / substeps as f64;
+    let basis = Basis::new(weights.ncols());
     let from_start = difference(&start);
     let mut velocity = DVector::zeros(from_start.len());
     let mut state = start;
@@ -169,7 +188,7 @@ fn integrate<S: Clone>(
         if smooth_scaling {
             pull.axpy(-z, &from_start, 1.0);
         }
-        let mut acceleration = weights * activations(weights.ncols(), z);
+        let mut acceleration = weights * basis.at(z);
         acceleration.axpy(ALPHA * BETA, &pull, 1.0);
         acceleration.axpy(-ALPHA, &velocity, 1.0);
         velocity.axpy(ds, &acceleration, 1.0);
@@ -275,7 +294,7 @@ impl OrientationDmp {
     ) -> Result<Self, PrimitiveError> {
         let &[start, .., goal] = orientations else {
             let (what, found, needed) = ("orientations", orientations.len(), 2);
-            return Err(PrimitiveError::TooFew { what, found, needed, setting: "the steps" });
+            return Err(PrimitiveError::TooFew { what, found, needed, remedy: "add some" });
         };
         let last = orientations.len() - 1;
         let between = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>| {
@@ -311,6 +330,73 @@ impl OrientationDmp {
         };
         integrate(&self.weights, self.smooth_scaling, steps, *start, difference, advance)
     }
+}
+
+/// A dynamic movement primitive of a pose: one of the position and one of the orientation, beside
+/// each other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseDmp {
+    /// Of the position.
+    pub position: Dmp,
+    /// Of the orientation.
+    pub orientation: OrientationDmp,
+}
+
+impl PoseDmp {
+    /// Fits the primitive to poses at equal steps of phase.
+    ///
+    /// # Errors
+    /// As [`OrientationDmp::fit`].
+    pub fn fit(config: &DmpConfig, poses: &[Isometry3<f64>]) -> Result<Self, PrimitiveError> {
+        let rotations: Vec<_> = poses.iter().map(|pose| pose.rotation).collect();
+        let orientation = OrientationDmp::fit(config, &rotations)?;
+        let positions = poses.iter().flat_map(|pose| pose.translation.vector.data.0[0]).collect();
+        let positions = Trajectory::new(3, positions).expect("finite poses, at least two");
+        Ok(Self { position: Dmp::fit(config, &positions)?, orientation })
+    }
+
+    /// First pose of the demonstration.
+    pub fn start(&self) -> Isometry3<f64> {
+        pose(self.position.start.as_slice(), self.orientation.start)
+    }
+
+    /// Last pose of the demonstration.
+    pub fn goal(&self) -> Isometry3<f64> {
+        pose(self.position.goal.as_slice(), self.orientation.goal)
+    }
+
+    /// The poses from `start` to `goal` in `steps` steps.
+    ///
+    /// # Panics
+    /// When a pose is not finite, or `steps` is below 2.
+    pub fn rollout(
+        &self,
+        start: &Isometry3<f64>,
+        goal: &Isometry3<f64>,
+        steps: usize,
+    ) -> Vec<Isometry3<f64>> {
+        let [from, to] = [start, goal]
+            .map(|pose| DVector::from_column_slice(pose.translation.vector.as_slice()));
+        let positions = self.position.rollout(&from, &to, steps);
+        let orientations = self.orientation.rollout(&start.rotation, &goal.rotation, steps);
+        positions.states().zip(orientations).map(|(p, q)| pose(p, q)).collect()
+    }
+
+    /// Another motion of the same kind, see [`perturbed`].
+    ///
+    /// # Panics
+    /// When `share` is negative or not finite.
+    #[must_use]
+    pub fn perturbed<R: Rng + ?Sized>(&self, share: f64, rng: &mut R) -> Self {
+        let mut other = self.clone();
+        other.position.weights = perturbed(&self.position.weights, share, rng);
+        other.orientation.weights = perturbed(&self.orientation.weights, share, rng);
+        other
+    }
+}
+
+fn pose(position: &[f64], rotation: UnitQuaternion<f64>) -> Isometry3<f64> {
+    Isometry3::from_parts(Translation3::new(position[0], position[1], position[2]), rotation)
 }
 
 /// One end of the motion, as the task moves it.
@@ -403,7 +489,7 @@ impl DmpPrimitive {
         demonstrations: &[Demonstration],
     ) -> Result<Self, PrimitiveError> {
         let state_dim = check(space, steps, demonstrations, 1)?;
-        let motions = prepared(steps, config.align, demonstrations);
+        let motions = prepared(steps, config.alignment_window, demonstrations);
         let dmps = motions.iter().map(|m| Dmp::fit(config, m)).collect::<Result<Vec<_>, _>>()?;
         let mut weights = DMatrix::zeros(state_dim, config.basis_functions);
         dmps.iter().for_each(|dmp| weights += &dmp.weights / dmps.len() as f64);
@@ -566,6 +652,34 @@ mod tests {
         let other = dmp.rollout(&dmp.start, &goal, 101);
         assert!(other[100].angle_to(&goal) < 0.03, "{}", other[100].angle_to(&goal));
         assert!(OrientationDmp::fit(&DmpConfig::default(), &demonstrated[..1]).is_err());
+    }
+
+    #[test]
+    fn a_pose_goes_where_its_position_and_its_orientation_go() {
+        let share = |s: f64| s * s * s * (10.0 + s * (6.0 * s - 15.0));
+        let poses: Vec<Isometry3<f64>> = (0..101)
+            .map(|t| share(f64::from(t) / 100.0))
+            .map(|s| {
+                Isometry3::new(Vector3::new(s, -0.5 * s, 0.3), Vector3::new(0.0, 1.2 * s, 0.1))
+            })
+            .collect();
+        let dmp = PoseDmp::fit(&DmpConfig::default(), &poses).unwrap();
+        assert_eq!((dmp.start(), dmp.goal()), (poses[0], poses[100]));
+        let apart = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
+            let distance = (a.translation.vector - b.translation.vector).norm();
+            distance.max(a.rotation.angle_to(&b.rotation))
+        };
+        let repeated = dmp.rollout(&dmp.start(), &dmp.goal(), 101);
+        assert!(repeated.iter().zip(&poses).all(|(a, b)| apart(a, b) < 0.01));
+        let goal = Translation3::new(0.1, 0.2, -0.1)
+            * poses[100]
+            * Isometry3::rotation(0.3 * Vector3::x());
+        let moved = dmp.rollout(&dmp.start(), &goal, 101);
+        assert!(apart(&moved[100], &goal) < 0.005, "{}", apart(&moved[100], &goal));
+        let other = dmp.perturbed(0.1, &mut ChaCha8Rng::seed_from_u64(1));
+        let other = other.rollout(&dmp.start(), &dmp.goal(), 101);
+        assert!(apart(&other[50], &repeated[50]) > 1e-4);
+        assert!(apart(&other[100], &repeated[100]) < 0.01);
     }
 
     #[test]

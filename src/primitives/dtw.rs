@@ -29,13 +29,22 @@ pub struct Warping {
 }
 
 /// The cheapest path between `query` and `reference`. Of equally cheap ways a diagonal is taken
-/// first, then one in the reference, then one in the query.
+/// first, then one in the reference, then one in the query. `window` is the largest number of steps
+/// that the steps of a pair may lie apart (Sakoe and Chiba's band), if there is a limit.
 ///
 /// # Panics
-/// When the trajectories' states have other numbers of values.
-pub fn warp(query: &Trajectory, reference: &Trajectory, pattern: StepPattern) -> Warping {
+/// When the trajectories' states have other numbers of values, or their lengths differ by more than
+/// the window.
+pub fn warp(
+    query: &Trajectory,
+    reference: &Trajectory,
+    pattern: StepPattern,
+    window: Option<usize>,
+) -> Warping {
     assert_eq!(query.dim(), reference.dim(), "states of the same values");
     let (rows, columns) = (query.steps(), reference.steps());
+    let outside = |i: usize, j: usize| window.is_some_and(|window| i.abs_diff(j) > window);
+    assert!(!outside(rows, columns), "a window that both ends lie in");
     let diagonal_weight = match pattern {
         StepPattern::Symmetric1 => 1.0,
         StepPattern::Symmetric2 => 2.0,
@@ -46,6 +55,9 @@ pub fn warp(query: &Trajectory, reference: &Trajectory, pattern: StepPattern) ->
     let mut ways = vec![0u8; rows * columns];
     for i in 0..rows {
         for j in 0..columns {
+            if outside(i, j) {
+                continue;
+            }
             let pair = query.state(i).iter().zip(reference.state(j));
             let local = pair.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
             if i == 0 && j == 0 {
@@ -112,7 +124,7 @@ pub fn align(
     reference: &Trajectory,
     pattern: StepPattern,
 ) -> Vec<Trajectory> {
-    let aligned = |t| warp(t, reference, pattern).applied(t, reference.steps());
+    let aligned = |t| warp(t, reference, pattern, None).applied(t, reference.steps());
     trajectories.iter().map(aligned).collect()
 }
 
@@ -140,7 +152,7 @@ mod tests {
             a in trajectory(2..12), b in trajectory(2..12),
         ) {
             for (pattern, diagonal) in [(StepPattern::Symmetric1, 1.0), (StepPattern::Symmetric2, 2.0)] {
-                let Warping { distance, path } = warp(&a, &b, pattern);
+                let Warping { distance, path } = warp(&a, &b, pattern, None);
                 prop_assert_eq!(path[0], (0, 0));
                 prop_assert_eq!(path[path.len() - 1], (a.steps() - 1, b.steps() - 1));
                 let local = |(i, j): (usize, usize)| {
@@ -154,7 +166,7 @@ mod tests {
                     cost += local(pair[1]) * if step == (1, 1) { diagonal } else { 1.0 };
                 }
                 prop_assert!((cost - distance).abs() < 1e-12);
-                let back = warp(&b, &a, pattern).distance;
+                let back = warp(&b, &a, pattern, None).distance;
                 prop_assert!((back - distance).abs() < 1e-12);
             }
         }
@@ -163,7 +175,7 @@ mod tests {
     #[test]
     fn a_trajectory_lies_on_itself() {
         let curve = curve(20, |s| s);
-        let Warping { distance, path } = warp(&curve, &curve, StepPattern::Symmetric2);
+        let Warping { distance, path } = warp(&curve, &curve, StepPattern::Symmetric2, None);
         assert_eq!(distance, 0.0);
         assert_eq!(path, (0..20).map(|i| (i, i)).collect::<Vec<_>>());
     }
@@ -175,7 +187,7 @@ mod tests {
             let squares = a.values().iter().zip(reference.values()).map(|(a, b)| (a - b).powi(2));
             (squares.sum::<f64>() / reference.values().len() as f64).sqrt()
         };
-        let aligned = align(&[late.clone()], &reference, StepPattern::Symmetric2);
+        let aligned = align(std::slice::from_ref(&late), &reference, StepPattern::Symmetric2);
         assert_eq!(aligned[0].steps(), 60);
         assert!(apart(&aligned[0]) < 0.02, "{}", apart(&aligned[0]));
         assert!(apart(&late.resampled(60)) > 0.2);

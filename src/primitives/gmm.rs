@@ -26,20 +26,38 @@ pub struct Gaussian {
     pub covariance: DMatrix<f64>,
 }
 
-impl Gaussian {
-    /// Logarithm of the density at each column of `samples`, `[dim, samples]`; none when the
-    /// covariance is not positive definite.
-    fn log_densities(&self, samples: &DMatrix<f64>) -> Option<DVector<f64>> {
-        let cholesky = Cholesky::new(self.covariance.clone())?;
-        let lower = cholesky.l_dirty();
-        let mut whitened = samples.clone();
-        whitened.column_iter_mut().for_each(|mut column| column -= &self.mean);
-        // l_dirty's upper triangle is not read.
-        lower.solve_lower_triangular_mut(&mut whitened);
+/// A normal distribution, prepared for its density: `log p(x) = constant - |whitening x - center|^2
+/// / 2`.
+#[derive(Debug, Clone)]
+struct Density {
+    /// Inverse of the covariance's Cholesky factor.
+    whitening: DMatrix<f64>,
+    /// The mean, whitened.
+    center: DVector<f64>,
+    constant: f64,
+}
+
+impl Density {
+    /// None when the covariance is not positive definite.
+    fn new(gaussian: &Gaussian) -> Option<Self> {
+        let lower = Cholesky::new(gaussian.covariance.clone())?.l();
+        let dim = lower.nrows();
         let half_log_determinant: f64 = lower.diagonal().iter().map(|v| v.ln()).sum();
-        let constant = -0.5 * self.mean.len() as f64 * TAU.ln() - half_log_determinant;
-        let densities = whitened.column_iter().map(|c| constant - 0.5 * c.norm_squared());
-        Some(DVector::from_iterator(samples.ncols(), densities))
+        let whitening = lower.solve_lower_triangular(&DMatrix::identity(dim, dim))?;
+        let center = &whitening * &gaussian.mean;
+        let constant = -0.5 * dim as f64 * TAU.ln() - half_log_determinant;
+        Some(Self { whitening, center, constant })
+    }
+
+    /// Logarithms of the density at each column of `samples`, `[dim, samples]`.
+    fn logarithms(&self, samples: &DMatrix<f64>) -> DVector<f64> {
+        let whitened = &self.whitening * samples;
+        let logarithm = |column: &[f64]| {
+            let pairs = column.iter().zip(self.center.as_slice());
+            self.constant - 0.5 * pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>()
+        };
+        let columns = whitened.as_slice().chunks_exact(self.center.len());
+        DVector::from_iterator(samples.ncols(), columns.map(logarithm))
     }
 }
 
@@ -64,7 +82,7 @@ pub struct GmmConfig {
     pub initialization: Initialization,
     /// Most steps of the optimisation.
     pub max_iterations: usize,
-    /// Gain in mean log-likelihood (nat per sample) below which the optimisation ends.
+    /// Change of the mean log-likelihood (nat per sample) below which the optimisation ends.
     pub tolerance: f64,
     /// Added to the diagonal of every covariance, in the squared unit of its value.
     pub regularization: f64,
@@ -98,9 +116,9 @@ impl GmmConfig {
             return error("regularization", *regularization, "from 0 to 1e6");
         }
         if samples < *components {
-            let (what, setting) = ("samples", "components");
+            let (what, remedy) = ("samples", "add some, or lower components");
             let (found, needed) = (samples, *components);
-            return Err(PrimitiveError::TooFew { what, found, needed, setting });
+            return Err(PrimitiveError::TooFew { what, found, needed, remedy });
         }
         Ok(())
     }
@@ -185,15 +203,19 @@ impl Gmm {
             let outputs = outputs.expect("a value that remains to be predicted");
             let of_inputs = covariance.view((0, 0), (inputs, inputs)).into_owned();
             let across = covariance.view((inputs, 0), (outputs, inputs));
-            let Some(cholesky) = Cholesky::new(of_inputs.clone()) else {
+            let input_mean = mean.rows(0, inputs).into_owned();
+            let input = Gaussian { mean: input_mean, covariance: of_inputs };
+            let Some(density) = Density::new(&input) else {
                 let matrix = "covariance of the inputs";
                 return Err(PrimitiveError::NotPositiveDefinite { matrix, index });
             };
-            let gain = cholesky.solve(&across.transpose()).transpose();
+            // across cov^-1, with cov^-1 = whitening^T whitening.
+            let gain = across * density.whitening.transpose() * &density.whitening;
             let remaining = covariance.view((inputs, inputs), (outputs, outputs));
             Ok(Conditional {
                 log_weight: weight.ln(),
-                input: Gaussian { mean: mean.rows(0, inputs).into_owned(), covariance: of_inputs },
+                input_mean: input.mean,
+                density,
                 output_mean: mean.rows(inputs, outputs).into_owned(),
                 covariance: remaining - &gain * across.transpose(),
                 gain,
@@ -212,7 +234,8 @@ impl Gmm {
 #[derive(Debug, Clone)]
 struct Conditional {
     log_weight: f64,
-    input: Gaussian,
+    input_mean: DVector<f64>,
+    density: Density,
     output_mean: DVector<f64>,
     gain: DMatrix<f64>,
     covariance: DMatrix<f64>,
@@ -233,9 +256,7 @@ impl Regression {
     pub fn at(&self, input: &[f64]) -> Gaussian {
         let input = DVector::from_column_slice(input);
         let column = DMatrix::from_column_slice(input.len(), 1, input.as_slice());
-        let log_density = |c: &Conditional| {
-            c.log_weight + c.input.log_densities(&column).expect("checked when it was prepared")[0]
-        };
+        let log_density = |c: &Conditional| c.log_weight + c.density.logarithms(&column)[0];
         let mut shares = DVector::from_iterator(
             self.conditionals.len(),
             self.conditionals.iter().map(log_density),
@@ -244,7 +265,7 @@ impl Regression {
         let means: Vec<DVector<f64>> = self
             .conditionals
             .iter()
-            .map(|c| &c.output_mean + &c.gain * (&input - &c.input.mean))
+            .map(|c| &c.output_mean + &c.gain * (&input - &c.input_mean))
             .collect();
         let dim = means[0].len();
         let mut mean = DVector::zeros(dim);
@@ -300,7 +321,7 @@ impl Mixture {
         for _ in 0..config.max_iterations {
             let Expectation { mean_log_likelihood, responsibilities } =
                 mixture.expectation(blocks)?;
-            if mean_log_likelihood - before < config.tolerance {
+            if (mean_log_likelihood - before).abs() < config.tolerance {
                 break;
             }
             before = mean_log_likelihood;
@@ -315,9 +336,9 @@ impl Mixture {
         for (index, weight) in self.weights.iter().enumerate() {
             let mut log_densities = DVector::from_element(samples, weight.ln());
             for (frame, block) in self.frames.iter().zip(blocks) {
-                log_densities += frame[index]
-                    .log_densities(block)
-                    .ok_or(PrimitiveError::NotPositiveDefinite { matrix: "covariance", index })?;
+                let density = Density::new(&frame[index]);
+                let error = PrimitiveError::NotPositiveDefinite { matrix: "covariance", index };
+                log_densities += density.ok_or(error)?.logarithms(block);
             }
             responsibilities.set_row(index, &log_densities.transpose());
         }
@@ -341,9 +362,10 @@ impl Mixture {
             let shares = responsibilities.row(index).transpose();
             let mean = block * &shares / counts[index];
             let mut apart = block.clone();
-            for (mut column, share) in apart.column_iter_mut().zip(shares.iter()) {
-                column -= &mean;
-                column *= share.sqrt();
+            let columns = apart.as_mut_slice().chunks_exact_mut(block.nrows());
+            for (column, share) in columns.zip(shares.as_slice()) {
+                let root = share.sqrt();
+                column.iter_mut().zip(mean.as_slice()).for_each(|(v, m)| *v = (*v - m) * root);
             }
             let mut covariance = &apart * apart.transpose() / counts[index];
             for i in 0..block.nrows() {

@@ -11,7 +11,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::{PrimitiveError, check, generated, prepared};
+use super::{PrimitiveError, check, check_window, generated, prepared};
 use crate::parameters::{TaskParameters, TaskSpace};
 use crate::primitive::{Demonstration, Generated, MovementPrimitive};
 use crate::trajectory::Trajectory;
@@ -27,9 +27,9 @@ const OVERLAP: f64 = 0.7;
 pub struct ProMpConfig {
     /// Basis functions for each value of the state.
     pub basis_functions: usize,
-    /// Whether the demonstrations get the timing of the most typical one first, by dynamic time
-    /// warping.
-    pub align: bool,
+    /// Share of the motion by which dynamic time warping may move its steps, to give the
+    /// demonstrations the timing of the most typical one first; with 0 they keep their own.
+    pub alignment_window: f64,
     /// Ridge of the regression of the weights.
     pub weight_ridge: f64,
     /// Added to the variances of the task parameters, in their squared unit. With it a task that
@@ -40,13 +40,14 @@ pub struct ProMpConfig {
 
 impl Default for ProMpConfig {
     fn default() -> Self {
-        Self { basis_functions: 20, align: true, weight_ridge: 1e-6, task_ridge: 1e-6 }
+        Self { basis_functions: 20, alignment_window: 0.0, weight_ridge: 1e-6, task_ridge: 1e-6 }
     }
 }
 
 impl ProMpConfig {
     fn check(&self) -> Result<(), PrimitiveError> {
-        let Self { basis_functions, align: _, weight_ridge, task_ridge } = *self;
+        let Self { basis_functions, alignment_window, weight_ridge, task_ridge } = *self;
+        check_window(alignment_window)?;
         let error = |name, value, range| Err(PrimitiveError::Setting { name, value, range });
         if !(2..=1000).contains(&basis_functions) {
             return error("basis_functions", basis_functions as f64, "from 2 to 1000");
@@ -219,7 +220,7 @@ impl ProMp {
     ) -> Result<Self, PrimitiveError> {
         config.check()?;
         let state_dim = check(space, steps, demonstrations, space.dim() + 2)?;
-        let motions = prepared(steps, config.align, demonstrations);
+        let motions = prepared(steps, config.alignment_window, demonstrations);
         let count = config.basis_functions;
         let weights = motions
             .iter()
@@ -364,12 +365,7 @@ mod tests {
                 d
             })
             .collect();
-        let config = ProMpConfig {
-            align: false,
-            weight_ridge: 1e-12,
-            task_ridge: 0.0,
-            ..ProMpConfig::default()
-        };
+        let config = ProMpConfig { weight_ridge: 1e-12, task_ridge: 0.0, ..ProMpConfig::default() };
         let promp = ProMp::fit(&config, &space(2), 50, &demonstrations).unwrap();
         for w in [[0.1, 0.7, -0.3, 0.2], [0.0; 4]] {
             let Generated { mean, stddev } = promp.generate(&task(&w));

@@ -14,7 +14,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::gmm::{Gaussian, Gmm, GmmConfig, Initialization, Mixture, Regression, slices};
-use super::{PrimitiveError, check, generated, prepared};
+use super::{ALIGNMENT_WINDOW, PrimitiveError, check, check_window, generated, prepared};
 use crate::parameters::{TaskParameters, TaskSpace};
 use crate::primitive::{Demonstration, Generated, MovementPrimitive};
 use crate::trajectory::Trajectory;
@@ -25,15 +25,16 @@ use crate::trajectory::Trajectory;
 pub struct TpGmmConfig {
     /// Number of Gaussians in each frame; the paper's is 25.
     pub components: usize,
-    /// Whether the demonstrations get the timing of the most typical one first, by dynamic time
-    /// warping.
-    pub align: bool,
+    /// Share of the motion by which dynamic time warping may move its steps, to give the
+    /// demonstrations the timing of the most typical one first; with 0 they keep their own.
+    pub alignment_window: f64,
     /// Most steps of the optimisation.
     pub max_iterations: usize,
-    /// Gain in mean log-likelihood (nat per sample) below which the optimisation ends.
+    /// Change of the mean log-likelihood (nat per sample) below which the optimisation ends.
     pub tolerance: f64,
-    /// Added to the diagonal of every covariance: the square of 1 mm, of 1 mrad, or of a
-    /// thousandth of the motion's time.
+    /// Added to the diagonal of every covariance; 1e-4 is the square of 1 cm, of 10 mrad, and of a
+    /// hundredth of the motion's time. With much less, motions change from one component to the
+    /// next so quickly that simulated pours accelerate beyond what is valid.
     pub regularization: f64,
 }
 
@@ -42,10 +43,10 @@ impl Default for TpGmmConfig {
     fn default() -> Self {
         Self {
             components: 25,
-            align: true,
+            alignment_window: ALIGNMENT_WINDOW,
             max_iterations: 100,
             tolerance: 1e-4,
-            regularization: 1e-6,
+            regularization: 1e-4,
         }
     }
 }
@@ -104,8 +105,13 @@ impl FramedGmm {
         motions: &[Trajectory],
         frames: &[Vec<Frame>],
     ) -> Result<Self, PrimitiveError> {
-        let TpGmmConfig { components, align: _, max_iterations, tolerance, regularization } =
-            *config;
+        let TpGmmConfig {
+            components,
+            alignment_window: _,
+            max_iterations,
+            tolerance,
+            regularization,
+        } = *config;
         let config = GmmConfig {
             components,
             initialization: Initialization::Slices,
@@ -212,7 +218,8 @@ impl TpGmm {
         demonstrations: &[Demonstration],
     ) -> Result<Self, PrimitiveError> {
         let state_dim = check(space, steps, demonstrations, 1)?;
-        let motions = prepared(steps, config.align, demonstrations);
+        check_window(config.alignment_window)?;
+        let motions = prepared(steps, config.alignment_window, demonstrations);
         let frames: Vec<_> =
             demonstrations.iter().map(|d| Frame::of_task(&d.w, state_dim)).collect();
         let mixture = FramedGmm::fit(config, &motions, &frames)?;
@@ -309,7 +316,7 @@ mod tests {
     }
 
     fn few() -> TpGmmConfig {
-        TpGmmConfig { components: 8, ..TpGmmConfig::default() }
+        TpGmmConfig { components: 8, regularization: 1e-6, ..TpGmmConfig::default() }
     }
 
     #[test]
@@ -341,7 +348,7 @@ mod tests {
         let config = few();
         let demonstrations = demonstrations(0, 10);
         let tp_gmm = TpGmm::fit(&config, &space(0), 30, &demonstrations).unwrap();
-        let motions = prepared(30, true, &demonstrations);
+        let motions = prepared(30, ALIGNMENT_WINDOW, &demonstrations);
         let columns: Vec<DVector<f64>> = motions
             .iter()
             .flat_map(|m| m.states().enumerate())
@@ -385,7 +392,7 @@ mod tests {
         let error = |demonstrations: &[Demonstration]| {
             TpGmm::fit(&few(), &space(2), 40, demonstrations).unwrap_err().to_string()
         };
-        assert!(error(&[]).starts_with("0 demonstrations where at least 1 are needed"));
+        assert_eq!(error(&[]), "0 demonstrations where at least 1 are needed; record more");
         let mut odd = demonstrations(2, 3);
         odd[1].w = task(&[0.0, 0.0]);
         assert_eq!(error(&odd), "demonstration 1 has 2 task parameters where 4 are needed");

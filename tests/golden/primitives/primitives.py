@@ -52,19 +52,23 @@ def curve(steps, dim, late=1.0):
 
 def warpings():
     cases = []
-    for name, n, m, dim in [
-        ("equal lengths", 30, 30, 2),
-        ("a longer query", 40, 25, 3),
-        ("a longer reference", 12, 33, 1),
-        ("two states", 2, 9, 2),
+    for name, n, m, dim, window in [
+        ("equal lengths", 30, 30, 2, None),
+        ("a longer query", 40, 25, 3, None),
+        ("a longer reference", 12, 33, 1, None),
+        ("two states", 2, 9, 2, None),
+        ("a narrow window", 40, 40, 2, 3),
+        ("a window and other lengths", 24, 30, 2, 7),
     ]:
         query, reference = curve(n, dim, 1.4), curve(m, dim)
         for pattern in ["symmetric1", "symmetric2"]:
-            found = dtw(query, reference, step_pattern=pattern)
+            band = {"window_type": "sakoechiba", "window_args": {"window_size": window}}
+            found = dtw(query, reference, step_pattern=pattern, **(band if window else {}))
             cases.append(
                 {
                     "name": name,
                     "pattern": pattern,
+                    "window": window,
                     "query": rows(query),
                     "reference": rows(reference),
                     "distance": rows(found.distance),

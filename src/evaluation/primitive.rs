@@ -1,0 +1,78 @@
+//! What a primitive without manner parameters achieves: it has one motion for each task, so SUCCESS
+//! is all there is of the paper's metrics.
+
+use serde::{Deserialize, Serialize};
+
+use super::{EvaluationError, Score, check_same, intervals, mean_square_difference, score, share};
+use crate::demonstrations::{Demonstration, Task};
+use crate::primitive::MovementPrimitive;
+use crate::trajectory::Motion;
+
+/// The measured quality of a primitive without manner parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PrimitiveEvaluation {
+    /// Share of test cases whose generated motion achieves its task (eq. 15), with Wilson's
+    /// intervals.
+    pub success: Vec<Score>,
+    /// Share of those that are inside the task's validity bounds too.
+    pub success_and_valid: Vec<Score>,
+    /// Median over the cases of the distance between the task and the one that the generated motion
+    /// achieves, in the task's unit; none where most motions don't show the task at all.
+    pub median_task_error: Option<f64>,
+    /// Root mean square distance of the generated motions from the demonstrated ones, over all steps
+    /// and state values. A primitive without manner can't tell demonstrations of one task apart,
+    /// so this holds their variety too.
+    pub reconstruction_rmse: f64,
+    /// Number of test cases.
+    pub cases: usize,
+}
+
+/// Measures a primitive on `cases`, which it was not fitted to. `thresholds` are distances from the
+/// task that count as achieving it, in the task's unit; motions take `duration_secs`.
+///
+/// # Errors
+/// Fewer than 2 cases; cases whose states or tasks have another dimension than the primitive's.
+///
+/// # Panics
+/// Without a threshold.
+pub fn evaluate_primitive<P: MovementPrimitive + ?Sized>(
+    primitive: &P,
+    task: &dyn Task,
+    cases: &[Demonstration],
+    thresholds: &[f64],
+    duration_secs: f64,
+) -> Result<PrimitiveEvaluation, EvaluationError> {
+    assert!(!thresholds.is_empty(), "nothing to measure");
+    if cases.len() < 2 {
+        let (split, found, needed) = ("test", cases.len(), 2);
+        return Err(EvaluationError::TooFew { split, found, needed });
+    }
+    let (mut errors, mut valid_errors) = (Vec::new(), Vec::new());
+    let mut square_error = 0.0;
+    for case in cases {
+        check_same(primitive, case)?;
+        let motion = Motion { states: primitive.generate(&case.w).mean, duration_secs };
+        square_error += mean_square_difference(&motion.states, &case.motion.states);
+        let error = match task.empirical_task(&motion) {
+            Ok(measured) => primitive.task_space().distance(&measured, &case.w),
+            Err(_) => f64::INFINITY,
+        };
+        let valid = error.is_finite() && task.violations(&motion).is_empty();
+        errors.push(error);
+        valid_errors.push(if valid { error } else { f64::INFINITY });
+    }
+    let scores = |errors: &[f64]| {
+        let wilson = |&t: &f64| score(t, intervals::wilson(share(errors, t), cases.len()));
+        thresholds.iter().map(wilson).collect()
+    };
+    let (success, success_and_valid) = (scores(&errors), scores(&valid_errors));
+    errors.sort_by(f64::total_cmp);
+    Ok(PrimitiveEvaluation {
+        success,
+        success_and_valid,
+        median_task_error: Some(errors[cases.len() / 2]).filter(|e| e.is_finite()),
+        reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
+        cases: cases.len(),
+    })
+}
