@@ -76,3 +76,72 @@ pub fn evaluate_primitive<P: MovementPrimitive + ?Sized>(
         cases: cases.len(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand::rngs::ChaCha8Rng;
+
+    use super::super::oracles::{Oracle, exact_arc, exact_manner};
+    use super::*;
+    use crate::demonstrations::arcs::{Arc, ArcsSimulation, ArcsTask, simulate};
+    use crate::trajectory::Trajectory;
+
+    fn cases() -> Vec<Demonstration> {
+        let simulation = ArcsSimulation { count: 1000, ..ArcsSimulation::default() };
+        simulate(&simulation, &mut ChaCha8Rng::seed_from_u64(7)).splits.test
+    }
+
+    fn measure(decode: fn(&[f64], &[f64]) -> Arc) -> PrimitiveEvaluation {
+        let oracle = Oracle::new(decode, exact_manner, 0.0);
+        let task = ArcsTask::default();
+        evaluate_primitive(&oracle, &task, &cases(), &[0.025, 0.05], 1.0).unwrap()
+    }
+
+    fn means(scores: &[Score]) -> Vec<f64> {
+        scores.iter().map(|s| s.mean).collect()
+    }
+
+    #[test]
+    fn the_median_manner_at_the_task_succeeds_and_repeats_nobody() {
+        let evaluation = measure(exact_arc);
+        assert_eq!(means(&evaluation.success), [1.0; 2]);
+        assert_eq!(means(&evaluation.success_and_valid), [1.0; 2]);
+        assert_eq!(evaluation.cases, 100);
+        assert!(evaluation.median_task_error.unwrap() < 1e-9);
+        assert!(evaluation.reconstruction_rmse > 0.1);
+        // Wilson: 1 / (1 + z^2 / 100).
+        assert!((evaluation.success[0].low - 0.963_007).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_motion_beside_its_task_succeeds_from_that_distance_on() {
+        let evaluation = measure(|w, h| exact_arc(&[w[0] + 0.03, w[1]], h));
+        assert_eq!(means(&evaluation.success), [0.0, 1.0]);
+        assert!((evaluation.median_task_error.unwrap() - 0.03).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_motion_that_is_none_of_the_task_is_told_from_one_that_shows_nothing() {
+        let tiny = measure(|w, h| Arc { radius: 0.03, ..exact_arc(w, h) });
+        assert_eq!(means(&tiny.success), [1.0; 2]);
+        assert_eq!(means(&tiny.success_and_valid), [0.0; 2]);
+        let point = measure(|w, h| Arc { radius: 0.0, ..exact_arc(w, h) });
+        assert_eq!(means(&point.success), [0.0; 2]);
+        assert_eq!(point.median_task_error, None);
+    }
+
+    #[test]
+    fn too_few_and_odd_cases_are_refused() {
+        let oracle = Oracle::exact();
+        let refusal = |cases: &[Demonstration]| {
+            let task = ArcsTask::default();
+            evaluate_primitive(&oracle, &task, cases, &[0.1], 1.0).unwrap_err().to_string()
+        };
+        let mut cases = cases();
+        let one = refusal(&cases[..1]);
+        assert_eq!(one, "the test part has 1 demonstrations; an evaluation needs at least 2");
+        cases[1].motion.states = Trajectory::new(3, vec![0.0; 9]).unwrap();
+        assert!(refusal(&cases).contains("has 3 values in a state where the model has 2"));
+    }
+}

@@ -125,8 +125,7 @@ impl GmmConfig {
 }
 
 /// A mixture of Gaussians.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Gmm {
     /// Share of each component; they sum to 1.
     pub weights: Vec<f64>,
