@@ -198,7 +198,7 @@ def tp_gmm():
     })
 
 
-def promps():
+def probabilistic():
     cases = []
     for name, dim, count, steps, ridge in [("plane", 2, 10, 60, 1e-9), ("space", 3, 7, 41, 1e-3)]:
         promp = ProMP(dim, count)
@@ -284,5 +284,5 @@ def dmps():
 warpings()
 mixtures()
 tp_gmm()
-promps()
+probabilistic()
 dmps()
