@@ -6,6 +6,30 @@
 //! manner parameters `h`. This crate trains such models from demonstrations, and serves them
 //! as checked end-effector and joint trajectories.
 //!
+//! # Example
+//! A pour by the shipped model, and where it pours in truth:
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use rand::{SeedableRng, rngs::ChaCha8Rng};
+//! use tcvae::artifact::Artifact;
+//! use tcvae::trajectory::Motion;
+//! use tcvae::{MannerConditioned, MovementPrimitive, TaskParameters};
+//!
+//! let artifact = Artifact::load(Path::new("models/pouring.safetensors"))?;
+//! let primitive = artifact.primitive();
+//! // Where to pour, and where the cup stands: x and y of each, in metres in the robot's base frame.
+//! let w = TaskParameters::new(primitive.task_space(), vec![0.65, 0.35, 0.60, 0.10])?;
+//! let h = primitive.sample_manner(&mut ChaCha8Rng::seed_from_u64(1));
+//!
+//! let states = primitive.decode(&w, &h).mean;
+//! let motion = Motion { states, duration_secs: artifact.document.duration_secs };
+//! let reached = artifact.document.task.task().empirical_task(&motion)?;
+//! assert!(primitive.task_space().distance(&w, &reached) < 0.02);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # Modules
 //! Each module may use those above it and none below.
 //!

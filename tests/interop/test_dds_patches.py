@@ -1,13 +1,15 @@
 """Each patch under patches/, seen from rclpy.
 
-The server is tests/interop/server.rs: ros2-client on the patched rustdds and nothing else. Without
+The server is mostly tests/interop/server.rs: ros2-client on the patched rustdds and nothing else. Without
 its patch each of these tests fails; the figures are in the patches' headers.
 """
 
 import statistics
 
-from conftest import wait_until
+from conftest import start_node, wait_until
+from std_srvs.srv import Trigger
 from tcvae_msgs.srv import SampleTrajectory
+from user import User
 
 SERVICE = "/dds_probe/points"
 
@@ -54,6 +56,22 @@ def test_no_first_call_of_20_fresh_clients_stalls(start, make_client):
         assert_complete(response, 1)
         took.append(round(seconds, 3))
         client.close()
+    print("first calls, s:", took)
+    assert max(took) < 1.0, took
+
+
+def test_no_first_call_to_20_fresh_servers_stalls(start, make_client):
+    """Client and server start together, so that each discovers the other at the same time."""
+    took = []
+    for number in range(20):
+        server = start_node(start)
+        user = User(make_client(f"first_{number}"))
+        service = user.client.service(Trigger, "/tcvae/sample")
+        response, seconds = user.client.call(service, Trigger.Request())
+        assert "NO_TASK" in response.message
+        took.append(round(seconds, 3))
+        user.client.close()
+        assert server.interrupt() == 0
     print("first calls, s:", took)
     assert max(took) < 1.0, took
 
