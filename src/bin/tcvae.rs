@@ -58,15 +58,18 @@ impl Verb {
     }
 }
 
-/// The error with its causes. Some errors tell their cause themselves; nothing is said twice.
+/// The error with its causes. Some errors tell their cause, or the file that they are about,
+/// themselves; nothing is said twice.
 fn message(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |message, cause| {
-        match message.is_empty() || message.contains(&cause) {
-            true if message.is_empty() => cause,
-            true => message,
-            false => format!("{message}: {cause}"),
+    let mut message = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if cause.contains(&message) {
+            message = cause;
+        } else if !message.contains(&cause) {
+            message = format!("{message}: {cause}");
         }
-    })
+    }
+    message
 }
 
 fn main() -> ExitCode {
@@ -97,8 +100,11 @@ mod tests {
 
     #[test]
     fn no_cause_is_told_twice() {
-        let error = Told { source: std::io::Error::other("disk on fire") };
-        let error = Err::<(), _>(error).context("model.safetensors").unwrap_err();
-        assert_eq!(message(&error), "model.safetensors: cannot read a file: disk on fire");
+        let told = |context: &'static str| {
+            let error = Told { source: std::io::Error::other("disk on fire") };
+            message(&Err::<(), _>(error).context(context).unwrap_err())
+        };
+        assert_eq!(told("training"), "training: cannot read a file: disk on fire");
+        assert_eq!(told("a file"), "cannot read a file: disk on fire");
     }
 }
