@@ -570,6 +570,16 @@ mod tests {
     }
 
     #[test]
+    fn a_file_from_before_a_setting_existed_is_read() {
+        let Artifact { document, tensors } = artifact();
+        let mut older = serde_json::to_value(&document).unwrap();
+        let network = older["model"]["network"].as_object_mut().unwrap();
+        assert!(network.remove("margins").is_some());
+        let read = Artifact::from_bytes(&encode(&tensors, "model", &older)).unwrap();
+        assert_eq!(read.document, document);
+    }
+
+    #[test]
     fn a_newer_format_is_refused_with_both_versions() {
         let bytes =
             edited(&artifact().to_bytes(), r#""format_version":1"#, r#""format_version":9"#);
