@@ -145,6 +145,9 @@ pub struct ModelDocument {
     pub training: TrainingConfig,
     /// The last epoch.
     pub last_epoch: Option<EpochReport>,
+    /// The epoch whose model this is; the last one where none is named.
+    #[serde(default)]
+    pub selected_epoch: Option<usize>,
     /// Revision of the program's sources.
     pub git_revision: String,
     /// SHA-256 over the data that was trained on.
@@ -161,7 +164,8 @@ pub struct ModelDocument {
     pub latents: Vec<LatentStatistics>,
     /// Names of the state's values.
     pub state_names: Vec<String>,
-    /// Median duration of the demonstrations, at which motions are served.
+    /// Median duration of the demonstrations, at which motions are served whose model knows phases
+    /// only.
     pub duration_secs: f64,
     /// Offsets and scales.
     pub normalizer: Normalizer,
@@ -293,11 +297,11 @@ impl Artifact {
         self.build()?;
         let ModelDocument { model, state_names, latents, duration_secs, .. } = &self.document;
         let document = |detail| Err(ArtifactError::Document { detail });
-        if state_names.len() != model.state_dim {
+        if state_names.len() != model.motion_dim() {
             return document(format!(
                 "{} state names for {} state values",
                 state_names.len(),
-                model.state_dim
+                model.motion_dim()
             ));
         }
         if latents.len() != model.network.latents {
@@ -489,6 +493,7 @@ mod tests {
         let document = ModelDocument {
             training: TrainingConfig::default(),
             last_epoch: None,
+            selected_epoch: None,
             git_revision: "0123abc".into(),
             data_digest: "00".into(),
             data_source: DataSource::Synthetic,

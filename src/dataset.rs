@@ -317,7 +317,7 @@ fn demonstration(id: &str, values: Vec<f64>, task: &TaskConfig) -> Result<Demons
     let states = Trajectory::new(2, values).map_err(|e| e.to_string())?;
     let motion = Motion { states, duration_secs: ArcsTask::DURATION_SECS };
     let w = task.task().empirical_task(&motion).map_err(|e| e.to_string())?;
-    Ok(Demonstration { id: id.into(), w, motion })
+    Ok(Demonstration { id: id.into(), w, motion, events: Vec::new() })
 }
 
 #[cfg(test)]

@@ -37,6 +37,7 @@
 //! |---|---|
 //! | [`parameters`] | task and manner parameters and the spaces that they live in |
 //! | [`trajectory`] | trajectories over phase and over time |
+//! | [`alignment`] | motions on a common clock, by the events of their task |
 //! | [`pose`] | end-effector poses, and how they become 6-D states |
 //! | [`primitive`] | the traits of a movement primitive |
 //! | [`kinematics`] | chains, forward kinematics, inverse kinematics of whole paths, timing |
@@ -53,6 +54,8 @@
 pub mod parameters;
 
 pub mod trajectory;
+
+pub mod alignment;
 
 pub mod pose;
 

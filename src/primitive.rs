@@ -15,6 +15,9 @@ pub struct Demonstration {
     pub w: TaskParameters,
     /// The motion.
     pub motion: Motion,
+    /// When the events of the task happen, as shares of the motion's time, ascending inside (0, 1);
+    /// empty for a task without.
+    pub events: Vec<f64>,
 }
 
 /// A trajectory as a primitive generates it.
@@ -24,6 +27,16 @@ pub struct Generated {
     pub mean: Trajectory,
     /// Standard deviation of each value, the shape of the mean; reported, never added as noise.
     pub stddev: Trajectory,
+    /// How long the motion takes; none where the primitive knows phases only, and others choose.
+    pub duration_secs: Option<f64>,
+}
+
+impl Generated {
+    /// The mean as a motion, which takes `otherwise_secs` where the primitive knows phases only.
+    pub fn motion(self, otherwise_secs: f64) -> Motion {
+        let duration_secs = self.duration_secs.unwrap_or(otherwise_secs);
+        Motion { states: self.mean, duration_secs }
+    }
 }
 
 /// A learned motion that adapts to task parameters.

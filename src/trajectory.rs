@@ -103,6 +103,34 @@ impl Trajectory {
         Self { dim: self.dim, values }
     }
 
+    /// The states at these shares of the trajectory in [0, 1], interpolated by Catmull-Rom's cubic,
+    /// so that speeds do not jump at the states.
+    ///
+    /// # Panics
+    /// When there are fewer than 2 shares.
+    #[must_use]
+    pub fn at(&self, shares: impl Iterator<Item = f64>) -> Self {
+        let last = self.steps() - 1;
+        let mut values = Vec::with_capacity(self.values.len());
+        for share in shares {
+            let at = share.clamp(0.0, 1.0) * last as f64;
+            let t = (at.floor() as usize).min(last - 1);
+            let u = at - t as f64;
+            let [p1, p2] = [self.state(t), self.state(t + 1)];
+            for d in 0..self.dim {
+                // Beyond the ends the motion goes on straight.
+                let before = if t > 0 { self.state(t - 1)[d] } else { 2.0 * p1[d] - p2[d] };
+                let after = if t + 2 <= last { self.state(t + 2)[d] } else { 2.0 * p2[d] - p1[d] };
+                let (a, b) = (0.5 * (p2[d] - before), 0.5 * (after - p1[d]));
+                let rise = p2[d] - p1[d];
+                let cubic = u * (a + u * (3.0 * rise - 2.0 * a - b + u * (a + b - 2.0 * rise)));
+                values.push(p1[d] + cubic);
+            }
+        }
+        assert!(values.len() >= 2 * self.dim, "a trajectory has at least 2 steps");
+        Self { dim: self.dim, values }
+    }
+
     /// The same motion with `count` states more at either end. They continue it: each is the point
     /// reflection of an inner state at the end state, so that neither place nor speed jumps.
     #[must_use]
@@ -179,6 +207,21 @@ mod tests {
             let expected = 10.0 * i as f64 / 3.0;
             assert!((state[0] - expected).abs() < 1e-12);
             assert!((state[1] + 2.0 * expected).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_cubic_through_states_keeps_lines_and_parabolas() {
+        let shares = [0.0, 0.1, 0.55, 1.0];
+        let at = line(5).at(shares.into_iter());
+        for (state, share) in at.states().zip(shares) {
+            assert!((state[0] - 4.0 * share).abs() < 1e-12, "{state:?}");
+        }
+        let parabola = Trajectory::new(1, (0..6).map(|i| f64::from(i * i)).collect()).unwrap();
+        // Inside, where the neighbours are the parabola's.
+        let at = parabola.at([0.3, 0.5].into_iter());
+        for (state, x) in at.states().zip([1.5, 2.5_f64]) {
+            assert!((state[0] - x * x).abs() < 1e-12, "{state:?}");
         }
     }
 

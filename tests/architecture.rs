@@ -6,9 +6,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The core's modules; each may use those before it.
-const CORE: [&str; 11] = [
+const CORE: [&str; 12] = [
     "parameters",
     "trajectory",
+    "alignment",
     "pose",
     "primitive",
     "kinematics",

@@ -71,8 +71,9 @@ impl Case {
             x: time_major(self),
             w: self.w.clone(),
             noise: self.noise.clone(),
+            anchors: Vec::new(),
         };
-        let strengths = Strengths { beta: self.beta, alpha: self.alpha };
+        let strengths = Strengths { beta: self.beta, alpha: self.alpha, gamma: 0.0 };
         let [model, adversary] = self.flat(&self.weights);
         Objective::new(&self.model, self.adversary_width, backend)
             .gradients(&model, &adversary, &part, self.batch, strengths)

@@ -75,7 +75,8 @@ impl MannerConditioned for RollPour {
             Isometry3::from_parts(Vector3::new(x, y, z).into(), roll * grasp_orientation())
         };
         let mean = self.frame.trajectory(&(0..STEPS).map(pose).collect::<Vec<_>>());
-        Generated { mean, stddev: Trajectory::new(6, vec![0.003; 6 * STEPS]).unwrap() }
+        let stddev = Trajectory::new(6, vec![0.003; 6 * STEPS]).unwrap();
+        Generated { mean, stddev, duration_secs: None }
     }
     fn sample_manner(&self, rng: &mut dyn Rng) -> MannerParameters {
         let values = (0..2).map(|_| rng.random_range(-1.0..1.0)).collect();

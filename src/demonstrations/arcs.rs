@@ -156,7 +156,8 @@ pub fn simulate<R: Rng + ?Sized>(simulation: &ArcsSimulation, rng: &mut R) -> Si
             arcs.push(arc);
             let w = TaskParameters::new(&space, arc.center.to_vec())
                 .expect("a centre in the unit square is one of the task space");
-            Demonstration { id: format!("{name}-{i:05}"), w, motion: arc.motion(steps) }
+            let motion = arc.motion(steps);
+            Demonstration { id: format!("{name}-{i:05}"), w, motion, events: Vec::new() }
         };
         (0..count).map(demonstration).collect()
     };
@@ -239,6 +240,10 @@ fn wrapped(angle_rad: f64) -> f64 {
 impl Task for ArcsTask {
     fn name(&self) -> &'static str {
         "arcs"
+    }
+
+    fn task_space(&self) -> TaskSpace {
+        Self::task_space()
     }
 
     fn empirical_task(&self, motion: &Motion) -> Result<TaskParameters, TaskMeasureError> {

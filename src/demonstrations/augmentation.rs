@@ -121,6 +121,7 @@ impl Augmentation {
         let copied = Demonstration {
             id: format!("{}+{number}", demonstration.id),
             w: task.empirical_task(&motion).ok()?,
+            events: task.events(&motion),
             motion,
         };
         // A demonstration of a manner beyond the bounds stays what it is; its copies may not break
@@ -191,7 +192,8 @@ mod tests {
             let (turn, by) = (0.1 * i as f64, Vector3::new(0.02 * i as f64, 0.3, 0.0));
             let motion = moved(&task, &motion, turn, by);
             let w = task.empirical_task(&motion).unwrap();
-            Demonstration { id: i.to_string(), w, motion }
+            let events = task.events(&motion);
+            Demonstration { id: i.to_string(), w, motion, events }
         };
         (0..count).map(one).collect()
     }
@@ -214,7 +216,10 @@ mod tests {
                 prop_assert!((value - expected).abs() < 1e-9);
             }
             for (a, b) in task.factors(&before).iter().zip(&task.factors(&after)) {
-                prop_assert!((a.value - b.value).abs() < 1e-9, "{:?} {:?}", a, b);
+                // The hand turns along.
+                let turned = if a.name == "heading" { turn.to_degrees() } else { 0.0 };
+                let off = (b.value - a.value - turned + 180.0).rem_euclid(360.0) - 180.0;
+                prop_assert!(off.abs() < 1e-9, "{:?} {:?}", a, b);
             }
         }
 

@@ -277,7 +277,8 @@ impl PouringTask {
             Exclusion::new(Reason::NoPour, e.to_string())
         })?;
         let motion = segment.motion.clone();
-        Ok((segment, Demonstration { id: recording.id.clone(), w, motion }))
+        let (id, events) = (recording.id.clone(), self.events(&motion));
+        Ok((segment, Demonstration { id, w, motion, events }))
     }
 
     /// The pour in an arm's motion.
@@ -460,6 +461,24 @@ impl Profile {
         self.tilts_deg.iter().copied().fold(0.0, f64::max)
     }
 
+    /// Direction of the tip's z axis, which points out of a gripper, over the ground at the grasp;
+    /// counted from the base's x axis.
+    fn heading_deg(&self) -> f64 {
+        let forward = self.poses[0].rotation * Vector3::z();
+        forward.y.atan2(forward.x).to_degrees()
+    }
+
+    /// What the cup is tilted about when it is tilted most, as an angle from the hand's heading at
+    /// the grasp: 0 degrees where the cup rolls to the hand's right, 90 where it pitches forward.
+    fn style_deg(&self) -> f64 {
+        let most =
+            (0..self.poses.len()).max_by(|a, b| self.tilts_deg[*a].total_cmp(&self.tilts_deg[*b]));
+        let turn = most.map(|i| self.poses[i].rotation * self.poses[0].rotation.inverse());
+        let axis = turn.map_or(Vector3::zeros(), |turn| turn.scaled_axis());
+        let style = axis.y.atan2(axis.x).to_degrees() - self.heading_deg();
+        (style + 180.0).rem_euclid(360.0) - 180.0
+    }
+
     /// Steps during which the cup pours.
     fn pour_steps(&self) -> f64 {
         self.pours.iter().flat_map(|p| &p.above).map(|[a, b]| b - a).sum()
@@ -489,6 +508,10 @@ impl Profile {
 impl Task for PouringTask {
     fn name(&self) -> &'static str {
         "pouring"
+    }
+
+    fn task_space(&self) -> TaskSpace {
+        Self::task_space(self)
     }
 
     /// `G(x)`: the mean `(x, y)` of the tip over the time above the pour's tilt, and its `(x, y)`
@@ -571,6 +594,18 @@ impl Task for PouringTask {
 
     /// When the pour starts, how long it lasts, how far it tilts, how long all of it takes, and how
     /// high above the grasp it is.
+    /// The start and the end of the pour.
+    fn events(&self, motion: &Motion) -> Vec<f64> {
+        let profile = self.profile(motion);
+        let last = (motion.states.steps() - 1) as f64;
+        let events = profile.pours.first().map(|pour| [pour.start() / last, pour.end() / last]);
+        events
+            .filter(|[start, end]| 0.0 < *start && start < end && *end < 1.0)
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+
     fn factors(&self, motion: &Motion) -> Vec<Factor> {
         let profile = self.profile(motion);
         let Some(first) = profile.pours.first() else { return Vec::new() };
@@ -583,6 +618,8 @@ impl Task for PouringTask {
             factor("maximum_tilt", "degrees", "of largest tilt", profile.maximum_tilt_deg()),
             factor("duration", "s", "from grasp to end", motion.duration_secs),
             factor("lift", "m", "above the grasp while pouring", lift),
+            factor("style", "degrees", "from roll (0) to pitch (90)", profile.style_deg()),
+            factor("heading", "degrees", "of the hand's heading", profile.heading_deg()),
         ]
     }
 }
@@ -696,6 +733,7 @@ pub(super) mod tests {
     fn factors_are_read_at_the_crossings() {
         let factors = PouringTask::default().factors(&rolled(&one_pour(80.0), 0.1));
         let values: Vec<_> = factors.iter().map(|f| f.value).collect();
+        assert_eq!(values.len(), 7);
         for (value, expected) in values.iter().zip([3.75, 2.5, 80.0, 9.9, 0.15]) {
             assert!((value - expected).abs() < 1e-9, "{factors:?}");
         }

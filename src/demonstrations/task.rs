@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::arcs::ArcsTask;
 use super::pouring::PouringTask;
-use crate::parameters::TaskParameters;
+use crate::parameters::{TaskParameters, TaskSpace};
 use crate::trajectory::Motion;
 
 /// Why a motion has no empirical task parameters.
@@ -53,6 +53,9 @@ pub trait Task: std::fmt::Debug + Send + Sync {
     /// Name, such as `pouring`.
     fn name(&self) -> &'static str;
 
+    /// What the task parameters are.
+    fn task_space(&self) -> TaskSpace;
+
     /// `G(x)`: the task parameters that the motion achieves, in the order of the task space.
     ///
     /// # Errors
@@ -61,6 +64,14 @@ pub trait Task: std::fmt::Debug + Send + Sync {
 
     /// Every bound of validity that the motion breaks; none for a valid motion.
     fn violations(&self, motion: &Motion) -> Vec<Violation>;
+
+    /// When the events happen that every motion of the task passes, as shares of the motion's time,
+    /// ascending inside (0, 1), always as many; empty where the task has none, or the motion does
+    /// not show it.
+    fn events(&self, motion: &Motion) -> Vec<f64> {
+        let _ = motion;
+        Vec::new()
+    }
 
     /// Manner factors of the motion, always the same ones in the same order; empty where the motion
     /// does not show the task.

@@ -7,7 +7,6 @@ use super::leak::r2;
 use crate::demonstrations::{Task, task::Factor};
 use crate::parameters::{MannerAxis, MannerSpace, TaskParameters};
 use crate::primitive::MannerConditioned;
-use crate::trajectory::Motion;
 
 /// Motions that the effects are measured on.
 const MOTIONS: usize = 2000;
@@ -43,8 +42,7 @@ pub fn manner_effects<M: MannerConditioned + ?Sized>(
     for _ in 0..MOTIONS {
         let w = &tasks[rng.random_range(0..tasks.len())];
         let h = model.sample_manner(rng);
-        let states = model.decode(w, &h).mean;
-        let factors = task.factors(&Motion { states, duration_secs });
+        let factors = task.factors(&model.decode(w, &h).motion(duration_secs));
         if !factors.is_empty() {
             manners.push(h);
             measured.push(factors);

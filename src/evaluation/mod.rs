@@ -79,7 +79,7 @@ pub struct EvaluationOptions {
     pub thresholds: Vec<f64>,
     /// Prior samples for each test case, the paper's K.
     pub samples_per_case: usize,
-    /// Time that decoded motions take; a phase model's median duration.
+    /// Time that the motions of a primitive take which knows phases only; the median duration.
     pub duration_secs: f64,
     /// Seed of every random draw.
     pub seed: u64,
@@ -167,10 +167,8 @@ where
     assert_eq!(posteriors.len(), cases.len(), "one posterior for each demonstration");
     let manners: Vec<MannerParameters> =
         posteriors.iter().map(|p| clamped(model.manner_space(), &p.mean)).collect();
-    let decode = |w: &TaskParameters, h: &MannerParameters| Motion {
-        states: model.decode(w, h).mean,
-        duration_secs: *duration_secs,
-    };
+    let decode =
+        |w: &TaskParameters, h: &MannerParameters| model.decode(w, h).motion(*duration_secs);
     let task_error = |w: &TaskParameters, motion: &Motion| match task.empirical_task(motion) {
         Ok(measured) => model.task_space().distance(&measured, w),
         Err(_) => f64::INFINITY,
@@ -271,7 +269,7 @@ fn check<M: MannerConditioned + ?Sized>(model: &M, splits: &Splits) -> Result<()
 /// Checks that the demonstration is of the model's task and states.
 fn check_same<P: MovementPrimitive + ?Sized>(
     model: &P,
-    Demonstration { id, w, motion }: &Demonstration,
+    Demonstration { id, w, motion, events: _ }: &Demonstration,
 ) -> Result<(), EvaluationError> {
     for (values, found, expected) in [
         ("values in a state", motion.states.dim(), model.state_dim()),

@@ -83,7 +83,7 @@ impl MannerConditioned for Oracle {
 
     fn decode(&self, w: &TaskParameters, h: &MannerParameters) -> Generated {
         let mean = (self.decode)(w.values(), h.values()).motion(self.steps()).states;
-        Generated { stddev: mean.clone(), mean }
+        Generated { stddev: mean.clone(), mean, duration_secs: None }
     }
 
     fn sample_manner(&self, rng: &mut dyn Rng) -> MannerParameters {

@@ -3,6 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "train")]
+use crate::alignment::{Alignment, segment_secs};
+#[cfg(feature = "train")]
+use crate::primitive::Demonstration;
+#[cfg(feature = "train")]
 use crate::trajectory::Trajectory;
 
 /// Nonlinearity of every hidden layer.
@@ -38,6 +42,14 @@ pub struct NetworkConfig {
     /// again. The zeros that convolutions see beyond a sequence then show in no state that is
     /// served; without, motions jerk in the few steps at the ends. Not in the paper.
     pub margins: bool,
+    /// Our variant: motions are aligned by the events of their task, and the networks also see and
+    /// decode how long each of the segments between events takes ([`crate::alignment`]): 1 for the
+    /// whole motion, 3 for a task with two events. 0 is the paper's phase, in which motions have no
+    /// duration and are served at the demonstrations' median.
+    pub segments: usize,
+    /// Our variant: the recognition network sees the phase and w beside each state, so that it can
+    /// tell when something happens and what of it follows from the task. Not in the paper.
+    pub recognition_sees_context: bool,
 }
 
 impl NetworkConfig {
@@ -60,6 +72,8 @@ impl Default for NetworkConfig {
             residual: true,
             task_baseline: false,
             margins: false,
+            segments: 0,
+            recognition_sees_context: false,
         }
     }
 }
@@ -70,7 +84,8 @@ impl Default for NetworkConfig {
 pub struct ModelConfig {
     /// Steps that the networks see: those of a trajectory, `T`, and the margins.
     pub steps: usize,
-    /// Values of a state, `D`.
+    /// Values that the networks see at a step: those of a state, `D`, and the logarithm of each
+    /// segment's duration.
     pub state_dim: usize,
     /// Values of the task parameters `w`.
     pub task_dim: usize,
@@ -113,7 +128,7 @@ impl ModelConfig {
         for (name, value, lower, upper) in [
             ("layers", layers, 1, MAX_LAYERS),
             ("steps", self.steps, 2 + 2 * self.margin(), 20_000),
-            ("state_dim", self.state_dim, 1, 1000),
+            ("state_dim", self.state_dim, 1 + self.network.segments, 1000),
             ("task_dim", self.task_dim, 1, 1000),
             ("latents", latents, 1, 1000),
             ("width", width, 1, 10_000),
@@ -136,13 +151,29 @@ impl ModelConfig {
         self.steps - 2 * self.margin()
     }
 
-    /// A motion's states as the networks see them: `T` steps and the margins.
+    /// Values of a motion's state, `D`.
+    pub(crate) fn motion_dim(&self) -> usize {
+        self.state_dim - self.network.segments
+    }
+
+    /// A motion as the networks see it: `T` steps, the margins, and the segments' durations.
     #[cfg(feature = "train")]
-    pub(crate) fn sequence(&self, states: &Trajectory) -> Trajectory {
-        match states.steps() == self.motion_steps() {
-            true => states.extended(self.margin()),
-            false => states.resampled(self.motion_steps()).extended(self.margin()),
+    pub(crate) fn sequence(&self, demonstration: &Demonstration) -> Trajectory {
+        let Demonstration { motion, events, .. } = demonstration;
+        let states = match self.network.segments {
+            0 | 1 if motion.states.steps() == self.motion_steps() => motion.states.clone(),
+            0 | 1 => motion.states.resampled(self.motion_steps()),
+            _ => Alignment::of_events(events).aligned(&motion.states, self.motion_steps()),
+        };
+        let extended = states.extended(self.margin());
+        let mut log_secs: Vec<f64> = Vec::new();
+        if self.network.segments > 0 {
+            let events = if self.network.segments == 1 { &[] } else { events.as_slice() };
+            log_secs.extend(segment_secs(motion, events).iter().map(|secs| secs.ln()));
         }
+        let values = extended.states().flat_map(|s| s.iter().chain(&log_secs).copied());
+        Trajectory::new(self.state_dim, values.collect())
+            .expect("segments take finite times above 0")
     }
 
     /// Dilation of a layer: 1, 2, 4, …

@@ -85,7 +85,8 @@ impl Layout {
         let n = &config.network;
         let mut layout = Self::default();
         for i in 0..n.layers {
-            let channels = if i == 0 { config.state_dim } else { n.width };
+            let context = if n.recognition_sees_context { 1 + config.task_dim } else { 0 };
+            let channels = if i == 0 { config.state_dim + context } else { n.width };
             layout.dense(&format!("recognition.layers.{i}"), TAPS * channels, n.width);
         }
         for head in ["mean", "log_variance"] {

@@ -128,10 +128,22 @@ impl Networks {
         }
     }
 
-    /// `q(h|x)` (eq. 6-8) for `x`, time-major.
-    pub(crate) fn recognise(&self, parameters: &Parameters<'_>, x: Tensor<2>) -> PosteriorTensors {
+    /// `q(h|x)` (eq. 6-8) for `x`, time-major; our variant's `q(h|x, w)`, which sees the phase and
+    /// `w`, `[batch, task_dim]`, at every step.
+    pub(crate) fn recognise(
+        &self,
+        parameters: &Parameters<'_>,
+        x: Tensor<2>,
+        w: &Tensor<2>,
+    ) -> PosteriorTensors {
         let network = &self.config.network;
         let mut x = x;
+        if network.recognition_sees_context {
+            let ([steps, batch], phase) = ([self.config.steps, w.dims()[0]], self.config.phase());
+            let phase = phase.into_iter().flat_map(|p| std::iter::repeat_n(p, batch)).collect();
+            let phase = tensor(phase, [steps * batch, 1], &self.device);
+            x = Tensor::cat(vec![x, phase, w.clone().repeat_dim(0, steps)], 1);
+        }
         for i in 0..network.layers {
             let y = self.convolve(parameters, &format!("recognition.layers.{i}"), i, x.clone());
             x = self.finish_layer(i, x, y);

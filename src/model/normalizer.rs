@@ -236,6 +236,7 @@ pub(crate) mod tests {
             let states = Trajectory::new(2, (0..steps).flat_map(state).collect()).unwrap();
             Demonstration {
                 id: i.to_string(),
+                events: Vec::new(),
                 motion: Motion { states, duration_secs: 2.0 },
                 w: TaskParameters::new(&space(), w).unwrap(),
             }

@@ -18,6 +18,9 @@ pub struct Batch {
     pub w: Vec<f32>,
     /// Standard normal draws for the reparametrised sample of h, `[sequences, latents]`.
     pub noise: Vec<f32>,
+    /// Our variant's anchors: standard scores that the first latents' posterior means are drawn
+    /// to, `[sequences, anchors]`; empty without.
+    pub anchors: Vec<f32>,
 }
 
 /// Strengths of the terms at one step of training.
@@ -27,6 +30,8 @@ pub struct Strengths {
     pub beta: f32,
     /// Factor of the adversary's loss in the model's objective.
     pub alpha: f32,
+    /// Factor of half the squared distance between posterior means and their anchors.
+    pub gamma: f32,
 }
 
 /// The terms of the objective, summed over the sequences of a batch.
@@ -40,6 +45,8 @@ pub struct Terms {
     pub kl: Vec<f64>,
     /// L1 distance of the adversary's guess from w, in normalised units.
     pub adversary: f64,
+    /// Squared distance of the posterior means from their anchors; 0 without.
+    pub anchors: f64,
 }
 
 impl Terms {
@@ -48,6 +55,7 @@ impl Terms {
         self.sequences += other.sequences;
         self.negative_log_likelihood += other.negative_log_likelihood;
         self.adversary += other.adversary;
+        self.anchors += other.anchors;
         self.kl.resize(self.kl.len().max(other.kl.len()), 0.0);
         self.kl.iter_mut().zip(&other.kl).for_each(|(a, b)| *a += b);
     }
@@ -86,8 +94,8 @@ impl Objective {
     }
 
     /// Terms and gradients of both players on a part of a batch of `batch_size` sequences: the
-    /// model minimises `(NLL + beta KL - alpha L1) / (T D)`, the adversary `L1`, each meant over
-    /// the batch. The parts' gradients add up to those of the batch.
+    /// model minimises `(NLL + beta KL - alpha L1 + gamma A / 2) / (T D)`, the adversary `L1`, each
+    /// meant over the batch; `A` is the squared distance from the anchors. The parts' gradients add up to those of the batch.
     ///
     /// The division by `T D` is for the optimiser's sake only. The adversary sees the posterior
     /// means; its own step does not reach the recognition network.
@@ -107,7 +115,8 @@ impl Objective {
         let players = self.forward(&model, adversary, part);
         let objective = players.negative_log_likelihood.clone()
             + players.kl.clone().sum().mul_scalar(strengths.beta)
-            - players.adversary.clone().mul_scalar(strengths.alpha);
+            - players.adversary.clone().mul_scalar(strengths.alpha)
+            + players.anchors.clone().mul_scalar(0.5 * strengths.gamma);
         let scale = 1.0 / (batch_size * steps * state_dim) as f32;
         let mut gradients = objective.mul_scalar(scale).backward();
         let model = model.gradients(&mut gradients);
@@ -136,7 +145,7 @@ impl Objective {
         let w = tensor(part.w.clone(), [n, *task_dim], &self.device);
         let noise = tensor(part.noise.clone(), [n, network.latents], &self.device);
 
-        let posterior = self.networks.recognise(model, x.clone());
+        let posterior = self.networks.recognise(model, x.clone(), &w);
         let (mean, log_variance) = (posterior.mean, posterior.log_variance);
         let h = mean.clone() + noise * log_variance.clone().mul_scalar(0.5).exp();
         let decoded = self.networks.decode(model, h, w);
@@ -151,8 +160,20 @@ impl Objective {
             negative_log_likelihood: nll.sum().add_scalar(constant).mul_scalar(0.5),
             kl: kl.sum_dim(0).mul_scalar(0.5),
             adversary: self.l1(&fixed, mean.clone(), part),
+            anchors: self.anchored(mean.clone(), part),
             means: mean,
         }
+    }
+
+    /// The squared distance from the anchors over a part.
+    fn anchored(&self, means: Tensor<2>, part: &Batch) -> Tensor<1> {
+        let n = part.sequences;
+        let count = part.anchors.len() / n;
+        if count == 0 {
+            return Tensor::zeros([1], &self.device);
+        }
+        let anchors = tensor(part.anchors.clone(), [n, count], &self.device);
+        (means.slice([0..n, 0..count]) - anchors).square().sum()
     }
 
     /// `sum |f_W(h) - w|` over a part.
@@ -169,6 +190,7 @@ struct Players {
     /// One column for each latent.
     kl: Tensor<2>,
     adversary: Tensor<1>,
+    anchors: Tensor<1>,
     /// The posterior means.
     means: Tensor<2>,
 }
@@ -181,6 +203,7 @@ impl Players {
             negative_log_likelihood: scalar(&self.negative_log_likelihood),
             kl: values(self.kl.clone().inner()).into_iter().map(f64::from).collect(),
             adversary: scalar(&self.adversary),
+            anchors: scalar(&self.anchors),
         }
     }
 }

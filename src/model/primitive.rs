@@ -7,12 +7,16 @@ use super::config::ModelConfig;
 use super::normalizer::{Normalizer, Units};
 use super::packed::{PackedDecoder, Workspace};
 use super::{ModelError, Weights};
+use crate::alignment::Alignment;
 use crate::parameters::{MannerParameters, MannerSpace, TaskParameters, TaskSpace};
 use crate::primitive::{Generated, MannerConditioned, MovementPrimitive};
 use crate::trajectory::Trajectory;
 
 /// Draws of a manner parameter before it is cut off at its bounds instead of drawn again.
 const MAX_DRAWS: usize = 1000;
+
+/// Bound of a decoded duration's logarithm, far beyond any data, so that it stays finite and above 0.
+const LOG_SECS: f64 = 20.0;
 
 /// A trained TC-VAE.
 #[derive(Debug, Clone)]
@@ -80,15 +84,39 @@ impl TcVaePrimitive {
         let mean = residual.zip(centre).map(|(residual, centre)| centre + residual);
         let deviations = decoded.log_variance.iter().zip(scale());
         let stddev = deviations.map(|(v, scale)| (0.5 * f64::from(*v)).exp() * scale);
-        let margin = self.decoder.config().margin() * self.state_dim();
-        let served = self.steps() * self.state_dim();
-        let trajectory = |values: &mut dyn Iterator<Item = f64>| {
-            let values = values.skip(margin).take(served).collect();
-            Trajectory::new(self.state_dim(), values)
+        let (mean, stddev): (Vec<_>, Vec<_>) = (mean.collect(), stddev.collect());
+        let config = self.decoder.config();
+        let (channels, dim) = (config.state_dim, config.motion_dim());
+        // The steps of the motion, without the margins.
+        let steps = config.margin() * channels..(config.margin() + self.steps()) * channels;
+        let trajectory = |values: &[f64]| {
+            let states = values[steps.clone()].chunks_exact(channels).flat_map(|row| &row[..dim]);
+            Trajectory::new(dim, states.copied().collect())
                 .expect("finite weights were checked, and tasks and manners are bounded")
         };
-        Generated { mean: trajectory(&mut { mean }), stddev: trajectory(&mut { stddev }) }
+        let (mean_states, stddev_states) = (trajectory(&mean), trajectory(&stddev));
+        if channels == dim {
+            return Generated { mean: mean_states, stddev: stddev_states, duration_secs: None };
+        }
+        let secs = |segment: usize| {
+            let decoded = mean[steps.clone()].chunks_exact(channels).map(|row| row[dim + segment]);
+            let log_secs = decoded.sum::<f64>() / self.steps() as f64;
+            log_secs.clamp(-LOG_SECS, LOG_SECS).exp()
+        };
+        let segments: Vec<f64> = (0..channels - dim).map(secs).collect();
+        let clock = Alignment::new(&segments);
+        Generated {
+            mean: clock.in_time(&mean_states),
+            // Between steps by their logarithm, which stays above 0.
+            stddev: mapped(&clock.in_time(&mapped(&stddev_states, f64::ln)), f64::exp),
+            duration_secs: Some(segments.iter().sum()),
+        }
     }
+}
+
+fn mapped(trajectory: &Trajectory, f: fn(f64) -> f64) -> Trajectory {
+    let values = trajectory.values().iter().map(|v| f(*v)).collect();
+    Trajectory::new(trajectory.dim(), values).expect("deviations are finite and above 0")
 }
 
 impl MovementPrimitive for TcVaePrimitive {
@@ -101,7 +129,7 @@ impl MovementPrimitive for TcVaePrimitive {
     }
 
     fn state_dim(&self) -> usize {
-        self.decoder.config().state_dim
+        self.decoder.config().motion_dim()
     }
 
     fn generate(&self, w: &TaskParameters) -> Generated {
@@ -185,7 +213,7 @@ mod tests {
             let primitive =
                 TcVaePrimitive::new(&config, &normalizer, &weights, space(), manner).unwrap();
             let w = TaskParameters::new(&space(), vec![0.5, -0.5, 0.2, 0.1]).unwrap();
-            let Generated { mean, stddev } = primitive.generate(&w);
+            let Generated { mean, stddev, .. } = primitive.generate(&w);
             assert_eq!((mean.steps(), stddev.steps(), primitive.steps()), (12, 12, 12));
             let first = mean.state(0).to_vec();
             mean.states().all(|s| s.iter().zip(&first).all(|(a, b)| (a - b).abs() < 1e-6))

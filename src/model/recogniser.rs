@@ -55,7 +55,9 @@ impl Recognition for Recogniser {
         for batch in demonstrations.chunks(BATCH) {
             let x = time_major(&self.config, batch.iter().map(|d| self.normalised(d)).collect());
             let rows = [self.config.steps * batch.len(), self.config.state_dim];
-            let posterior = networks.recognise(&parameters, tensor(x, rows, &device));
+            let w = batch.iter().flat_map(|d| self.units.task(d.w.values())).collect();
+            let w = tensor(w, [batch.len(), self.config.task_dim], &device);
+            let posterior = networks.recognise(&parameters, tensor(x, rows, &device), &w);
             let (mean, log_variance) = (values(posterior.mean), values(posterior.log_variance));
             let latents = self.config.network.latents;
             let wide = |row: &[f32]| row.iter().copied().map(f64::from).collect();
@@ -70,8 +72,8 @@ impl Recognition for Recogniser {
 impl Recogniser {
     fn normalised(&self, demonstration: &Demonstration) -> Vec<f32> {
         let Demonstration { w, motion, .. } = demonstration;
-        assert_eq!(motion.states.dim(), self.config.state_dim, "the model's states");
-        self.units.states(&self.config.sequence(&motion.states), &self.units.task(w.values()))
+        assert_eq!(motion.states.dim(), self.config.motion_dim(), "the model's states");
+        self.units.states(&self.config.sequence(demonstration), &self.units.task(w.values()))
     }
 }
 

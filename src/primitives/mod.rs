@@ -112,7 +112,7 @@ fn check(
         return Err(PrimitiveError::TooFew { what, found, needed: needed.max(1), remedy });
     }
     let dim = demonstrations[0].motion.states.dim();
-    for Demonstration { id, w, motion } in demonstrations {
+    for Demonstration { id, w, motion, events: _ } in demonstrations {
         let mismatch = |values, found, expected| PrimitiveError::Mismatch {
             id: id.clone(),
             values,
@@ -208,7 +208,7 @@ fn generated(dim: usize, mean: Vec<f64>, variances: Vec<f64>) -> Generated {
     let stddev = variances.into_iter().map(|v| v.max(0.0).sqrt()).collect();
     let trajectory =
         |values| Trajectory::new(dim, values).expect("checked parts give finite states");
-    Generated { mean: trajectory(mean), stddev: trajectory(stddev) }
+    Generated { mean: trajectory(mean), stddev: trajectory(stddev), duration_secs: None }
 }
 
 #[cfg(test)]
@@ -253,7 +253,7 @@ pub(crate) mod tests {
             });
             let states = Trajectory::new(3, values.collect()).unwrap();
             let motion = Motion { states, duration_secs: 2.0 };
-            Demonstration { id: n.to_string(), w: task(&w), motion }
+            Demonstration { id: n.to_string(), w: task(&w), motion, events: Vec::new() }
         };
         (0..count).map(one).collect()
     }

@@ -368,7 +368,7 @@ mod tests {
         let config = ProMpConfig { weight_ridge: 1e-12, task_ridge: 0.0, ..ProMpConfig::default() };
         let promp = ProMp::fit(&config, &space(2), 50, &demonstrations).unwrap();
         for w in [[0.1, 0.7, -0.3, 0.2], [0.0; 4]] {
-            let Generated { mean, stddev } = promp.generate(&task(&w));
+            let Generated { mean, stddev, .. } = promp.generate(&task(&w));
             assert!(largest_difference(&mean, &motion(&w)) < 1e-6);
             assert!(stddev.values().iter().all(|v| *v < 1e-5));
         }

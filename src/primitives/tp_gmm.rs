@@ -360,7 +360,7 @@ mod tests {
         let mut rng = <rand::rngs::ChaCha8Rng as rand::SeedableRng>::seed_from_u64(0);
         let gmm = Gmm::fit(&plain, &DMatrix::from_columns(&columns), &mut rng).unwrap();
         let regression = gmm.regression(1).unwrap();
-        let Generated { mean, stddev } = tp_gmm.generate(&task(&[]));
+        let Generated { mean, stddev, .. } = tp_gmm.generate(&task(&[]));
         for t in 0..30 {
             let expected = regression.at(&[t as f64 / 29.0]);
             for i in 0..3 {

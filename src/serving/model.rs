@@ -18,7 +18,8 @@ pub struct ServedModel {
     pub task: Box<dyn Task>,
     /// Where the states' rotation vectors are measured from.
     pub frame: StateFrame,
-    /// How long the motion takes, before it is slowed down (s).
+    /// How long motions take before they are slowed down (s): of a primitive that knows phases
+    /// only, all of them; of others, the median.
     pub duration_secs: f64,
     /// The arm that the model was made for.
     pub robot: RobotRecord,

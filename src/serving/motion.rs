@@ -14,7 +14,7 @@ use crate::kinematics::timing::{Timed, time};
 use crate::parameters::{MannerParameters, TaskParameters};
 use crate::primitive::Generated;
 use crate::serving::{ErrorCode, GivenLocation, Refusal, Robot, Sample, ServedModel};
-use crate::trajectory::{EndEffectorTrajectory, Motion, Trajectory};
+use crate::trajectory::{EndEffectorTrajectory, Motion};
 
 /// Decodings beyond the first with which a motion is aimed at its task.
 const AIM_ROUNDS: usize = 3;
@@ -62,7 +62,8 @@ impl Failure {
 
 /// The arm along a path, in time.
 struct Executed {
-    states: Trajectory,
+    /// In the learned timing.
+    motion: Motion,
     poses: Vec<Isometry3<f64>>,
     timed: Timed,
     position_error_m: f64,
@@ -81,20 +82,23 @@ impl Order {
     ) -> Result<Sample, Failure> {
         let mut warnings = self.warnings.clone();
         let generated = self.aimed(model, h, &mut warnings);
-        let mut executed = self.executed(model, robot, &generated.mean)?;
-        let mut points = generated.mean.steps();
+        let stddev = generated.stddev.clone();
+        let decoded = generated.motion(model.duration_secs);
+        let mut executed = self.executed(model, robot, &decoded)?;
+        let mut points = decoded.states.steps();
         if let Some(rate_hz) = self.rate_hz {
             // The rate counts in the time that the motion takes once it is slowed down.
-            let duration = model.duration_secs * executed.timed.slowdown;
+            let duration = decoded.duration_secs * executed.timed.slowdown;
             points = (duration * rate_hz).round().max(1.0) as usize + 1;
-            executed = self.executed(model, robot, &generated.mean.resampled(points))?;
+            let states = decoded.states.resampled(points);
+            executed = self.executed(model, robot, &Motion { states, ..decoded })?;
         }
         let empirical = self.check_task(model, &executed)?;
         self.check_validity(model, &executed)?;
         if self.start.is_none() {
             warnings.push("no joint states: the trajectory starts at its own first point".into());
         }
-        let stddev = generated.stddev.resampled(points);
+        let stddev = stddev.resampled(points);
         Ok(Sample {
             end_effector_trajectory: EndEffectorTrajectory {
                 times_secs: executed.timed.trajectory.times_secs.clone(),
@@ -134,7 +138,7 @@ impl Order {
         let space = model.space();
         let mut asked = self.w.clone();
         let mut generated = model.primitive.decode(&asked, h);
-        let Ok(mut reached) = empirical(model, &generated.mean, model.duration_secs) else {
+        let Ok(mut reached) = empirical(model, &generated) else {
             return generated;
         };
         for _ in 0..AIM_ROUNDS {
@@ -146,7 +150,7 @@ impl Order {
             let moved = moved.map(|((asked, w), reached)| asked + w - reached).collect();
             let Ok(candidate) = TaskParameters::new(space, moved) else { break };
             let next = model.primitive.decode(&candidate, h);
-            match empirical(model, &next.mean, model.duration_secs) {
+            match empirical(model, &next) {
                 Ok(there) if space.distance(&self.w, &there) < miss => {
                     (asked, generated, reached) = (candidate, next, there);
                 }
@@ -163,16 +167,16 @@ impl Order {
         generated
     }
 
-    /// What the arm does to follow the states.
+    /// What the arm does to follow the motion.
     fn executed(
         &self,
         model: &ServedModel,
         robot: &Robot,
-        states: &Trajectory,
+        motion: &Motion,
     ) -> Result<Executed, Failure> {
         let chain = &robot.chain;
-        let step_secs = model.duration_secs / (states.steps() - 1) as f64;
-        let wished = model.frame.poses(states);
+        let step_secs = motion.step_secs();
+        let wished = model.frame.poses(&motion.states);
         let options = FollowOptions { start: self.start.clone(), ..FollowOptions::default() };
         let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
         let followed = follow(chain, &wished, step_secs, &options, &mut rng)
@@ -203,7 +207,10 @@ impl Order {
         }
         let poses: Vec<_> = followed.positions.iter().map(|q| chain.forward(q)).collect();
         Ok(Executed {
-            states: model.frame.trajectory(&poses),
+            motion: Motion {
+                states: model.frame.trajectory(&poses),
+                duration_secs: motion.duration_secs,
+            },
             poses,
             timed,
             position_error_m: followed.position_error_m,
@@ -246,8 +253,7 @@ impl Order {
             stage: 2,
             excess,
         };
-        let duration = model.duration_secs * executed.timed.slowdown;
-        let reached = empirical(model, &executed.states, duration).map_err(|e| {
+        let reached = model.task.empirical_task(&executed.motion).map_err(|e| {
             failure(format!("the motion does not show its task: {e}; try another manner"), PI)
         })?;
         let space = model.space();
@@ -273,8 +279,7 @@ impl Order {
     fn check_validity(&self, model: &ServedModel, executed: &Executed) -> Result<(), Failure> {
         // In the learned timing: slowing down on request makes no pour invalid, and speeds only
         // fall.
-        let motion = Motion { states: executed.states.clone(), duration_secs: model.duration_secs };
-        let violations = model.task.violations(&motion);
+        let violations = model.task.violations(&executed.motion);
         if violations.is_empty() {
             return Ok(());
         }
@@ -346,10 +351,9 @@ fn where_to_move(
 
 fn empirical(
     model: &ServedModel,
-    states: &Trajectory,
-    duration_secs: f64,
+    generated: &Generated,
 ) -> Result<TaskParameters, TaskMeasureError> {
-    model.task.empirical_task(&Motion { states: states.clone(), duration_secs })
+    model.task.empirical_task(&generated.clone().motion(model.duration_secs))
 }
 
 fn named(model: &ServedModel, w: &TaskParameters) -> Vec<GivenLocation> {

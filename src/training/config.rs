@@ -36,6 +36,52 @@ pub struct TrainingConfig {
     pub network: NetworkConfig,
     /// The adversary.
     pub adversary: AdversaryConfig,
+    /// What the manner parameters are to mean.
+    pub manner: MannerConfig,
+    /// Which epoch's model is kept.
+    pub selection: SelectionConfig,
+}
+
+/// Which epoch's model is kept: the one whose samples on the validation set are robust and valid
+/// most often, of those after `alpha_ramp_epochs` with enough active latents. A model that hardly
+/// varies is always robust, so there is no selection without these floors.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SelectionConfig {
+    /// Prior samples on each of up to 200 validation demonstrations after every epoch; 0 keeps the
+    /// last epoch.
+    pub samples: usize,
+    /// Distance from the task within which a sample is robust, in the task's unit.
+    pub threshold: f64,
+    /// Latents with a mean KL above 0.1 nat on the validation set that a kept model has at least.
+    pub min_active_latents: usize,
+    /// Epochs without a better one after which the training stops; 0 never stops early.
+    pub patience: usize,
+}
+
+impl SelectionConfig {
+    /// Whether the training is over after this many epochs with the best one at `best`.
+    #[cfg(feature = "train")]
+    pub(crate) fn stops(&self, epochs: usize, best: Option<usize>) -> bool {
+        best.is_some_and(|best| self.patience > 0 && epochs >= best + self.patience)
+    }
+}
+
+/// Our variant's named manner parameters; not in the paper.
+///
+/// Each factor in `anchors` is measured on every demonstration, and the part of it that neither
+/// the task nor the factors before it explain becomes a standard score. The first latents' posterior
+/// means are drawn to these scores, so that each of them means its factor, and, as the scores are
+/// standard normal and independent of the task, the prior stays what people do.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MannerConfig {
+    /// Names of the task's factors for the first latents, in order; empty leaves all of them to the
+    /// ELBO, as the paper does.
+    pub anchors: Vec<String>,
+    /// Factor of half the squared distance between posterior means and their scores, gamma: the
+    /// inverse variance that the scores are believed to have.
+    pub anchor_strength: f64,
 }
 
 /// The adversary `f_W` (eq. 13).
@@ -70,6 +116,8 @@ impl Default for TrainingConfig {
             alpha_ramp_epochs: 20,
             network: NetworkConfig::default(),
             adversary: AdversaryConfig::default(),
+            manner: MannerConfig::default(),
+            selection: SelectionConfig::default(),
         }
     }
 }
@@ -87,16 +135,26 @@ pub struct SettingError {
 }
 
 impl TrainingConfig {
-    /// The settings for pouring: a hundred steps, and our variant's task baseline
-    /// and margins.
+    /// The settings for pouring: a hundred steps, and our variants.
     pub fn pouring() -> Self {
         Self {
             steps: 100,
-            beta: 1.0,
+            epochs: 30,
+            beta: 8.0,
+            alpha: 2.0,
             network: NetworkConfig {
+                latents: 8,
                 task_baseline: true,
                 margins: true,
+                segments: 3,
+                recognition_sees_context: true,
                 ..NetworkConfig::default()
+            },
+            manner: MannerConfig {
+                anchors: ["pour_start", "pour_duration", "maximum_tilt", "lift", "heading"]
+                    .map(String::from)
+                    .to_vec(),
+                anchor_strength: 300.0,
             },
             ..Self::default()
         }
@@ -122,6 +180,8 @@ impl TrainingConfig {
             factor("final_learning_rate_share", self.final_learning_rate_share),
             factor("beta", self.beta),
             factor("alpha", self.alpha),
+            factor("manner.anchor_strength", self.manner.anchor_strength),
+            factor("selection.threshold", self.selection.threshold),
         ] {
             if !fits {
                 return Err(SettingError { name, value, expected });
@@ -130,10 +190,11 @@ impl TrainingConfig {
         Ok(())
     }
 
-    /// The model that is trained on states and tasks of these sizes.
+    /// The model that is trained on motions and tasks of these sizes.
     pub fn model(&self, state_dim: usize, task_dim: usize) -> ModelConfig {
         let network = self.network.clone();
         let steps = self.steps.saturating_add(2 * network.margin());
+        let state_dim = state_dim.saturating_add(network.segments);
         ModelConfig { steps, state_dim, task_dim, network }
     }
 

@@ -6,14 +6,18 @@
 
 #[cfg(feature = "train")]
 mod adam;
+#[cfg(feature = "train")]
+mod anchors;
 mod config;
 #[cfg(feature = "train")]
 mod optimisation;
 mod report;
+#[cfg(feature = "train")]
+mod selection;
 
 #[cfg(feature = "train")]
 pub use adam::Adam;
-pub use config::{AdversaryConfig, SettingError, TrainingConfig};
+pub use config::{AdversaryConfig, MannerConfig, SelectionConfig, SettingError, TrainingConfig};
 #[cfg(feature = "train")]
 pub use optimisation::{
     Checkpoint, CheckpointError, Outcome, Progress, Trained, TrainingError, train,

@@ -9,9 +9,11 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use super::adam::Adam;
+use super::anchors;
 use super::config::{SettingError, TrainingConfig};
 use super::report::{EpochReport, LatentStatistics, MeanTerms};
-use crate::demonstrations::{Demonstration, Splits};
+use super::selection::Selector;
+use crate::demonstrations::{Demonstration, Splits, Task};
 use crate::model::{
     Backend, Batch, ConfigError, Layout, ModelConfig, NamedTensor, Normalizer, Objective,
     PartGradients, Posterior, Recogniser, Recognition, Strengths, Terms, Units, Weights,
@@ -55,6 +57,40 @@ pub enum TrainingError {
         /// Values of the others' states.
         expected: usize,
     },
+    /// A demonstration that can't be aligned.
+    #[error(
+        "demonstration {id} has {found} events; network.segments = {} needs {needed}", needed + 1
+    )]
+    Events {
+        /// The demonstration.
+        id: String,
+        /// Events that it has.
+        found: usize,
+        /// Events between that many segments.
+        needed: usize,
+    },
+    /// A factor that the task does not measure.
+    #[error("the task measures no factor {name} for manner.anchors; it measures {known}")]
+    UnknownFactor {
+        /// The factor.
+        name: String,
+        /// Those that there are.
+        known: String,
+    },
+    /// More anchors than latents.
+    #[error("{anchors} manner.anchors for {latents} network.latents; at most one for each")]
+    TooManyAnchors {
+        /// The anchors.
+        anchors: usize,
+        /// The latents.
+        latents: usize,
+    },
+    /// A demonstration that does not show the task.
+    #[error("demonstration {id} does not show the task, so it has no factors for manner.anchors")]
+    NoFactors {
+        /// The demonstration.
+        id: String,
+    },
     /// The objective is no longer finite.
     #[error(
         "the training diverged in epoch {epoch}: the objective is no longer finite; lower \
@@ -84,6 +120,19 @@ pub struct Checkpoint {
     pub adversary: Adam,
     /// The last epoch that is done.
     pub report: Option<EpochReport>,
+    /// The epoch that would be kept by now, where epochs are selected.
+    pub best: Option<Best>,
+}
+
+/// The model of one epoch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Best {
+    /// Number of the epoch, from 1.
+    pub epoch: usize,
+    /// Samples that were robust and valid.
+    pub hits: usize,
+    /// The recognition network and the decoder.
+    pub model: Vec<f32>,
 }
 
 /// What a training tells while it runs.
@@ -131,6 +180,8 @@ pub struct Trained {
     pub latents: Vec<LatentStatistics>,
     /// The last epoch.
     pub last_epoch: Option<EpochReport>,
+    /// The epoch whose model this is, where epochs are selected.
+    pub selected_epoch: Option<usize>,
 }
 
 impl Checkpoint {
@@ -139,7 +190,7 @@ impl Checkpoint {
         let [model, adversary] = layouts;
         let model = Adam::new(model.initial(&mut rng));
         let adversary = Adam::new(adversary.initial(&mut rng));
-        Self { epochs: 0, model, adversary, report: None }
+        Self { epochs: 0, model, adversary, report: None, best: None }
     }
 
     /// The state but for the report as tensors, for a file: `model.values`, `model.first`, … and
@@ -159,6 +210,11 @@ impl Checkpoint {
             add(format!("{player}.steps"), &split_count(*steps));
         }
         add("epochs".into(), &split_count(self.epochs as u64));
+        if let Some(Best { epoch, hits, model }) = &self.best {
+            add("best.epoch".into(), &split_count(*epoch as u64));
+            add("best.hits".into(), &split_count(*hits as u64));
+            add("best.model".into(), model);
+        }
         weights
     }
 
@@ -183,7 +239,12 @@ impl Checkpoint {
             Ok(Adam { values, first, second, steps })
         };
         let [of_model, of_adversary] = layouts(config, model);
+        let best = || -> Result<Best, CheckpointError> {
+            let (epoch, hits) = (count("best.epoch")? as usize, count("best.hits")? as usize);
+            Ok(Best { epoch, hits, model: flat("best.model", of_model.len())? })
+        };
         Ok(Self {
+            best: weights.contains_key("best.model").then(best).transpose()?,
             epochs: count("epochs")? as usize,
             model: adam("model", &of_model)?,
             adversary: adam("adversary", &of_adversary)?,
@@ -222,14 +283,21 @@ struct Normalised {
     /// One sequence of states for each demonstration.
     x: Vec<Vec<f32>>,
     w: Vec<Vec<f32>>,
+    /// The standard scores that the first latents are drawn to; empty rows without.
+    anchors: Vec<Vec<f32>>,
 }
 
 impl Normalised {
-    fn new(config: &ModelConfig, units: &Units, demonstrations: &[Demonstration]) -> Self {
+    fn new(
+        config: &ModelConfig,
+        units: &Units,
+        demonstrations: &[Demonstration],
+        anchors: Vec<Vec<f32>>,
+    ) -> Self {
         let w: Vec<_> = demonstrations.iter().map(|d| units.task(d.w.values())).collect();
         let states = |(d, w): (&Demonstration, &Vec<f32>)| units.states(&d.motion.states, w);
         let x = demonstrations.iter().zip(&w).map(states).collect();
-        Self { config: config.clone(), x, w }
+        Self { config: config.clone(), x, w, anchors }
     }
 
     fn len(&self) -> usize {
@@ -245,6 +313,10 @@ impl Normalised {
             x: time_major(&self.config, x),
             w: indices.iter().flat_map(|&i| self.w[i as usize].iter().copied()).collect(),
             noise: StandardNormal.sample_iter(rng).take(indices.len() * latents).collect(),
+            anchors: indices
+                .iter()
+                .flat_map(|&i| self.anchors[i as usize].iter().copied())
+                .collect(),
         }
     }
 
@@ -257,7 +329,7 @@ impl Normalised {
     }
 }
 
-/// Trains on `data.train` and reports on `data.validation`; the test part is left alone.
+/// Trains a primitive for `task` on `data.train` and reports on `data.validation`; the test part is left alone.
 ///
 /// The result depends on the configuration, the demonstrations and `start` alone: not on the
 /// number of cores, and not on where a training was stopped and resumed. `stop` is read before
@@ -267,6 +339,7 @@ impl Normalised {
 /// Settings or data that can't be trained with, and an objective that is no longer finite.
 pub fn train(
     config: &TrainingConfig,
+    task: &dyn Task,
     data: &Splits,
     start: Option<Checkpoint>,
     stop: &AtomicBool,
@@ -276,16 +349,26 @@ pub fn train(
     let sequences = |part: &[Demonstration]| -> Vec<Demonstration> {
         part.iter().map(|d| as_sequence(&model, d)).collect()
     };
+    let anchors = anchors::scores(&config.manner.anchors, task, &data.train)?;
     let train = sequences(&data.train);
     let units = Units::fit(&model, &train);
-    let train = Normalised::new(&model, &units, &train);
-    let held_out = Normalised::new(&model, &units, &sequences(&data.validation));
+    let train = Normalised::new(&model, &units, &train, anchors);
+    let none = vec![Vec::new(); data.validation.len()];
+    let held_out = Normalised::new(&model, &units, &sequences(&data.validation), none);
 
     let layouts = layouts(config, &model);
     let objective = Objective::new(&model, config.adversary.width, config.backend);
     let mut state = start.unwrap_or_else(|| Checkpoint::start(&layouts, config.seed));
     let batches = train.len().div_ceil(config.batch);
     let total = config.epochs * batches;
+    let selector = Selector::new(config, task, &data.validation);
+    let weights = |values: &[f32]| {
+        let mut weights = layouts[0].to_weights(values);
+        if let Some(baseline) = &units.baseline {
+            baseline.add_to(&mut weights);
+        }
+        weights
+    };
     for epoch in state.epochs..config.epochs {
         let mut rng = stream(config.seed, epoch as u64 + 1);
         let mut order: Vec<u32> = (0..train.len() as u32).collect();
@@ -299,6 +382,7 @@ pub fn train(
             let strengths = Strengths {
                 beta: config.beta as f32,
                 alpha: config.alpha_at(done as f64 / batches as f64) as f32,
+                gamma: config.manner.anchor_strength as f32,
             };
             let parts = train.parts(indices, config.parts, &mut rng);
             let gradients = |part: &Batch| {
@@ -317,28 +401,49 @@ pub fn train(
             observe(Progress::Batch { done: done + 1, total });
         }
         state.epochs = epoch + 1;
+        let validation = mean(&terms(&objective, &state, &held_out, config));
+        let hits = selector.as_ref().map(|selector| {
+            let hits = selector.hits(&model, &units.normalizer, &weights(&state.model.values));
+            let eligible = selector.eligible(state.epochs, validation.active_latents());
+            // Of equals the later one, which has learned longer.
+            if eligible && state.best.as_ref().is_none_or(|best| hits >= best.hits) {
+                let (epoch, model) = (state.epochs, state.model.values.clone());
+                state.best = Some(Best { epoch, hits, model });
+            }
+            hits as f64 / selector.samples() as f64
+        });
         let share = state.epochs as f64 / config.epochs as f64;
         let report = EpochReport {
             epoch: state.epochs,
             learning_rate: config.learning_rate_at(share),
             alpha: config.alpha_at(state.epochs as f64),
             train: mean(&sums),
-            validation: mean(&terms(&objective, &state, &held_out, config)),
+            validation,
+            robust_and_valid: hits,
         };
         state.report = Some(report.clone());
         observe(Progress::Epoch { report: &report, checkpoint: &state });
+        let best = state.best.as_ref().map(|best| best.epoch);
+        if config.selection.stops(state.epochs, best) {
+            break;
+        }
     }
 
-    let mut weights = layouts[0].to_weights(&state.model.values);
-    if let Some(baseline) = &units.baseline {
-        baseline.add_to(&mut weights);
-    }
+    let selected_epoch = state.best.as_ref().map(|best| best.epoch);
+    let weights = weights(state.best.as_ref().map_or(&state.model.values, |best| &best.model));
     let normalizer = units.normalizer;
     let recogniser = Recogniser::new(&model, &normalizer, &weights, config.backend)
         .expect("weights that were just trained");
     let latents = statistics(&recogniser.recognise(&data.validation));
     let last_epoch = state.report;
-    Ok(Outcome::Finished(Box::new(Trained { model, normalizer, weights, latents, last_epoch })))
+    Ok(Outcome::Finished(Box::new(Trained {
+        model,
+        normalizer,
+        weights,
+        latents,
+        last_epoch,
+        selected_epoch,
+    })))
 }
 
 /// Checks settings and data, and gives the model's shape.
@@ -360,16 +465,27 @@ fn model_config(config: &TrainingConfig, data: &Splits) -> Result<ModelConfig, T
         let found = d.motion.states.dim();
         return Err(TrainingError::StateDim { id: d.id.clone(), found, expected });
     }
+    // Phases alone need no events; times need those of every segment's ends.
+    let needed = config.network.segments.saturating_sub(1);
+    let odd = |d: &&Demonstration| needed > 0 && d.events.len() != needed;
+    if let Some(d) = data.train.iter().chain(&data.validation).find(odd) {
+        let (id, found) = (d.id.clone(), d.events.len());
+        return Err(TrainingError::Events { id, found, needed });
+    }
     let model = config.model(expected, first.w.values().len());
     model.check()?;
+    let (anchors, latents) = (config.manner.anchors.len(), config.network.latents);
+    if anchors > latents {
+        return Err(TrainingError::TooManyAnchors { anchors, latents });
+    }
     Ok(model)
 }
 
 /// The demonstration with what the networks see in place of its states.
 fn as_sequence(model: &ModelConfig, demonstration: &Demonstration) -> Demonstration {
-    let Demonstration { id, w, motion } = demonstration;
-    let motion = Motion { states: model.sequence(&motion.states), ..*motion };
-    Demonstration { id: id.clone(), w: w.clone(), motion }
+    let states = model.sequence(demonstration);
+    let motion = Motion { states, ..demonstration.motion };
+    Demonstration { motion, ..demonstration.clone() }
 }
 
 /// The gradients of a batch from those of its parts, in their order.
@@ -411,6 +527,7 @@ fn mean(sums: &Terms) -> MeanTerms {
         negative_log_likelihood: sums.negative_log_likelihood / n,
         kl: sums.kl.iter().map(|kl| kl / n).collect(),
         adversary: sums.adversary / n,
+        anchors: sums.anchors / n,
     }
 }
 
@@ -434,9 +551,48 @@ fn statistics(posteriors: &[Posterior]) -> Vec<LatentStatistics> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{MannerConfig, SelectionConfig};
     use super::*;
-    use crate::model::normalizer_tests::demonstrations;
+    use crate::demonstrations::task::Factor;
+    use crate::demonstrations::{TaskMeasureError, Violation};
+    use crate::model::normalizer_tests::{demonstrations, space};
     use crate::model::{Activation, NetworkConfig};
+    use crate::parameters::{TaskParameters, TaskSpace};
+
+    /// The task of the tests' demonstrations: from one location to the other. Their manner is the
+    /// bulge between.
+    #[derive(Debug)]
+    struct TwoWays;
+
+    impl Task for TwoWays {
+        fn name(&self) -> &'static str {
+            "two ways"
+        }
+
+        fn task_space(&self) -> TaskSpace {
+            space()
+        }
+
+        fn empirical_task(&self, motion: &Motion) -> Result<TaskParameters, TaskMeasureError> {
+            let ends = [0, motion.states.steps() - 1].map(|i| motion.states.state(i)).concat();
+            Ok(TaskParameters::new(&space(), ends).unwrap())
+        }
+
+        fn violations(&self, _: &Motion) -> Vec<Violation> {
+            Vec::new()
+        }
+
+        fn factors(&self, motion: &Motion) -> Vec<Factor> {
+            let last = motion.states.steps() - 1;
+            let [a, b, middle] = [0, last, last / 2].map(|i| motion.states.state(i)[0]);
+            vec![Factor {
+                name: "bulge",
+                unit: "m",
+                phrase: "aside",
+                value: middle - 0.5 * (a + b),
+            }]
+        }
+    }
 
     fn config() -> TrainingConfig {
         TrainingConfig {
@@ -464,7 +620,7 @@ mod tests {
     fn run(config: &TrainingConfig, start: Option<Checkpoint>) -> (Trained, Vec<Checkpoint>) {
         let mut checkpoints = Vec::new();
         let stop = AtomicBool::new(false);
-        let outcome = train(config, &data(), start, &stop, &mut |progress| {
+        let outcome = train(config, &TwoWays, &data(), start, &stop, &mut |progress| {
             if let Progress::Epoch { checkpoint, .. } = progress {
                 checkpoints.push(checkpoint.clone());
             }
@@ -505,10 +661,11 @@ mod tests {
     fn a_training_that_is_told_to_stop_leaves_whole_epochs_behind() {
         let stop = AtomicBool::new(false);
         let mut epochs = 0;
-        let outcome = train(&config(), &data(), None, &stop, &mut |progress| match progress {
-            Progress::Batch { done, .. } => stop.store(done == 6, Ordering::Relaxed),
-            Progress::Epoch { .. } => epochs += 1,
-        });
+        let outcome =
+            train(&config(), &TwoWays, &data(), None, &stop, &mut |progress| match progress {
+                Progress::Batch { done, .. } => stop.store(done == 6, Ordering::Relaxed),
+                Progress::Epoch { .. } => epochs += 1,
+            });
         assert_eq!(outcome.unwrap(), Outcome::Stopped { epochs: 1 });
         assert_eq!(epochs, 1);
     }
@@ -523,7 +680,7 @@ mod tests {
             let config = TrainingConfig { epochs: 30, network, ..config() };
             let mut losses = Vec::new();
             let stop = AtomicBool::new(false);
-            train(&config, &data(), None, &stop, &mut |progress| {
+            train(&config, &TwoWays, &data(), None, &stop, &mut |progress| {
                 if let Progress::Epoch { report, .. } = progress {
                     losses.push(report.validation.negative_log_likelihood);
                 }
@@ -531,6 +688,91 @@ mod tests {
             .unwrap();
             assert!(losses[29] < losses[0] - 5.0, "{} -> {}", losses[0], losses[29]);
         }
+    }
+
+    #[test]
+    fn an_anchored_latent_becomes_its_factor() {
+        let network = NetworkConfig {
+            task_baseline: true,
+            recognition_sees_context: true,
+            segments: 1,
+            margins: true,
+            ..config().network
+        };
+        let manner = MannerConfig { anchors: vec!["bulge".into()], anchor_strength: 300.0 };
+        let config =
+            TrainingConfig { epochs: 100, learning_rate: 5e-3, network, manner, ..config() };
+        let (trained, checkpoints) = run(&config, None);
+        let anchors = |i: usize| checkpoints[i].report.as_ref().unwrap().train.anchors;
+        assert!(anchors(99) < 0.1 * anchors(0), "{} -> {}", anchors(0), anchors(99));
+        let recogniser =
+            Recogniser::new(&trained.model, &trained.normalizer, &trained.weights, config.backend)
+                .unwrap();
+        let fresh = demonstrations(100, 12, 5);
+        let pairs: Vec<[f64; 2]> = recogniser
+            .recognise(&fresh)
+            .iter()
+            .zip(&fresh)
+            .map(|(p, d)| [p.mean[0], TwoWays.factors(&d.motion)[0].value])
+            .collect();
+        let sum = |of: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(of).sum::<f64>();
+        let both = sum(&|[h, bulge]| h * bulge);
+        let correlation = both / (sum(&|[h, _]| h * h) * sum(&|[_, bulge]| bulge * bulge)).sqrt();
+        assert!(correlation > 0.85, "{correlation}");
+    }
+
+    #[test]
+    fn the_epoch_that_hits_most_is_kept_among_those_that_may_be() {
+        let selection = |samples, min_active_latents, patience| SelectionConfig {
+            samples,
+            threshold: 0.2,
+            min_active_latents,
+            patience,
+        };
+        let network = NetworkConfig { task_baseline: true, ..config().network };
+        let config = TrainingConfig { epochs: 12, network, ..config() };
+        let with = |selection| run(&TrainingConfig { selection, ..config.clone() }, None);
+        let (last, all) = with(selection(0, 0, 0));
+        assert_eq!(last.selected_epoch, None);
+
+        let (kept, checkpoints) = with(selection(4, 0, 0));
+        let shares: Vec<f64> = checkpoints
+            .iter()
+            .map(|c| c.report.as_ref().unwrap().robust_and_valid.unwrap())
+            .collect();
+        let epoch = kept.selected_epoch.unwrap();
+        // Alpha grows over two epochs; before, none may be kept.
+        assert!(epoch >= 2 && shares[1..].iter().all(|s| *s <= shares[epoch - 1]), "{shares:?}");
+        assert!(shares.iter().any(|s| *s > 0.0), "{shares:?}");
+        // Choosing changes nothing of the training.
+        assert_eq!(checkpoints[11].model, all[11].model);
+
+        // A model with more active latents than it has is never kept; the last one is.
+        let (none, _) = with(selection(4, 5, 1));
+        assert_eq!((none.selected_epoch, none.weights), (None, last.weights));
+
+        let (_, stopped) = with(selection(4, 0, 2));
+        let best = stopped.last().unwrap().best.as_ref().unwrap().epoch;
+        assert!(stopped.len() == best + 2 || stopped.len() == 12, "{} {best}", stopped.len());
+    }
+
+    #[test]
+    fn anchors_that_can_not_be_are_refused() {
+        let refusal = |anchors: &[&str]| {
+            let anchors = anchors.iter().map(|a| a.to_string()).collect();
+            let manner = MannerConfig { anchors, anchor_strength: 1.0 };
+            let config = TrainingConfig { manner, ..config() };
+            let stop = AtomicBool::new(false);
+            train(&config, &TwoWays, &data(), None, &stop, &mut |_| ()).unwrap_err().to_string()
+        };
+        assert_eq!(
+            refusal(&["speed"]),
+            "the task measures no factor speed for manner.anchors; it measures bulge"
+        );
+        assert_eq!(
+            refusal(&["bulge"; 5]),
+            "5 manner.anchors for 4 network.latents; at most one for each"
+        );
     }
 
     #[test]
@@ -552,7 +794,7 @@ mod tests {
         // Finite, but not as an f32.
         let config = TrainingConfig { beta: 1e300, ..config() };
         let stop = AtomicBool::new(false);
-        let error = train(&config, &data(), None, &stop, &mut |_| ()).unwrap_err();
+        let error = train(&config, &TwoWays, &data(), None, &stop, &mut |_| ()).unwrap_err();
         assert!(matches!(error, TrainingError::Diverged { epoch: 1, .. }), "{error}");
     }
 
@@ -560,7 +802,7 @@ mod tests {
     fn too_few_demonstrations_are_refused() {
         let data = Splits { validation: Vec::new(), ..data() };
         let stop = AtomicBool::new(false);
-        let error = train(&config(), &data, None, &stop, &mut |_| ()).unwrap_err();
+        let error = train(&config(), &TwoWays, &data, None, &stop, &mut |_| ()).unwrap_err();
         assert_eq!(error.to_string(), "0 demonstrations for validation; at least 2 are needed");
     }
 

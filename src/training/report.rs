@@ -12,6 +12,10 @@ pub struct MeanTerms {
     pub kl: Vec<f64>,
     /// L1 distance of the adversary's guess from w, in normalised units.
     pub adversary: f64,
+    /// Squared distance of the posterior means from their anchors; 0 without, and where none are
+    /// measured.
+    #[serde(default)]
+    pub anchors: f64,
 }
 
 impl MeanTerms {
@@ -38,6 +42,10 @@ pub struct EpochReport {
     pub train: MeanTerms,
     /// On the validation set, after the epoch.
     pub validation: MeanTerms,
+    /// Share of the prior samples on validation tasks that are robust and valid, where epochs are
+    /// selected by it.
+    #[serde(default)]
+    pub robust_and_valid: Option<f64>,
 }
 
 /// The posteriors of one latent over the validation set.

@@ -73,7 +73,8 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
     keep_memory();
     let stop = stop_on_signal()?;
     let began = Instant::now();
-    let outcome = training::train(&config, &source.splits, start, &stop, &mut |progress| {
+    let task = source.task.task();
+    let outcome = training::train(&config, task, &source.splits, start, &stop, &mut |progress| {
         log.show(progress);
     });
     let saved = log.finish();
@@ -244,12 +245,13 @@ impl Source {
     }
 
     fn artifact(&self, config: &TrainingConfig, trained: Trained) -> anyhow::Result<Artifact> {
-        let Trained { model, normalizer, weights, latents, last_epoch } = trained;
+        let Trained { model, normalizer, weights, latents, last_epoch, selected_epoch } = trained;
         let train = &self.splits.train;
         let tasks: Vec<_> = train.iter().map(|d| d.w.values().to_vec()).collect();
         let document = ModelDocument {
             training: config.clone(),
             last_epoch,
+            selected_epoch,
             git_revision: env!("TCVAE_GIT_REVISION").into(),
             data_digest: self.digest.clone(),
             data_source: self.data_source,
@@ -516,12 +518,21 @@ impl<'a> Log<'a> {
 
 /// An epoch as a person reads it.
 fn epoch_line(report: &EpochReport, epochs: usize, seconds: f64) -> String {
-    let EpochReport { epoch, validation, .. } = report;
-    let MeanTerms { negative_log_likelihood, kl, adversary } = validation;
+    let EpochReport { epoch, validation, train, robust_and_valid, .. } = report;
+    // Anchors are measured where they are trained on.
+    let MeanTerms { negative_log_likelihood, kl, adversary, anchors: _ } = validation;
     let kl: Vec<_> = kl.iter().map(|kl| format!("{kl:.2}")).collect();
+    let anchors = match train.anchors {
+        0.0 => String::new(),
+        squared => format!(", {squared:.2} from anchors"),
+    };
+    let selected = match robust_and_valid {
+        Some(share) => format!(", robust and valid {share:.3}"),
+        None => String::new(),
+    };
     format!(
         "epoch {epoch}/{epochs}: validation nll {negative_log_likelihood:.1}, kl {}, adversary \
-         {adversary:.2}; {seconds:.1} s",
+         {adversary:.2}{anchors}{selected}; {seconds:.1} s",
         kl.join(" ")
     )
 }
