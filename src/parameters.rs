@@ -273,6 +273,16 @@ impl MannerParameters {
         Ok(Self(values))
     }
 
+    /// The values, each at its nearest bound where it lies outside.
+    ///
+    /// # Panics
+    /// When there is not one finite value for each axis.
+    pub fn clamped(space: &MannerSpace, values: &[f64]) -> Self {
+        assert_eq!(values.len(), space.dim(), "one value for each axis");
+        let inside = space.axes.iter().zip(values).map(|(a, v)| v.clamp(a.lower, a.upper));
+        Self::new(space, inside.collect()).expect("finite values")
+    }
+
     /// The prior's mean: every value 0.
     pub fn mean(space: &MannerSpace) -> Self {
         Self(vec![0.0; space.dim()])

@@ -64,4 +64,28 @@ pub trait MannerConditioned: MovementPrimitive {
 
     /// A manner from the prior `p(h)`, cut off at the bounds of the space.
     fn sample_manner(&self, rng: &mut dyn Rng) -> MannerParameters;
+
+    /// The manner parameters of latents, such as a posterior's mean; a value outside its bounds is
+    /// put at the nearest. They are the latents themselves, but for a primitive with a learned
+    /// prior.
+    ///
+    /// # Panics
+    /// When there is not one finite value for each manner parameter.
+    fn manner(&self, latents: &[f64]) -> MannerParameters {
+        MannerParameters::clamped(self.manner_space(), latents)
+    }
+
+    /// The motion for task `w` at latents that need not be what a manner parameter may be; without
+    /// a learned prior those of the manner parameters, likewise put at their bounds.
+    ///
+    /// # Panics
+    /// When there is not one finite value for each manner parameter.
+    fn decode_latents(&self, w: &TaskParameters, latents: &[f64]) -> Generated {
+        self.decode(w, &self.manner(latents))
+    }
+
+    /// Whether the prior of the latents was learned; else it is N(0, I).
+    fn has_learned_prior(&self) -> bool {
+        false
+    }
 }

@@ -40,7 +40,7 @@ fn recordings_become_a_model_file_that_says_all_about_itself() {
     let path = folder.path();
     let args = ["simulate", "pouring", "--seed", "6", "--count", "40", "-o", "data"];
     assert_eq!(tcvae(&args, path).status.code(), Some(0));
-    let task = "task = \"pouring\"\naugmentation = { train_copies = 3, validation_copies = 1 }\n";
+    let task = "task = \"pouring\"\naugmentation = { train_copies = 57, validation_copies = 6 }\n";
     fs::write(path.join("task.toml"), task).expect("written");
     for name in ["a.safetensors", "b.safetensors"] {
         let output = tcvae(&[TRAIN, &[name]].concat(), path);
@@ -62,7 +62,7 @@ fn recordings_become_a_model_file_that_says_all_about_itself() {
     assert_eq!(artifact.training_tasks().len(), 76);
     assert!((5.0..12.0).contains(&document.duration_secs), "{}", document.duration_secs);
     let TaskConfig::Pouring(task) = &document.task else { panic!("{:?}", document.task) };
-    assert_eq!(task.augmentation.train_copies, 3);
+    assert_eq!(task.augmentation.train_copies, 57);
     let names: Vec<_> = document.task_space.locations().iter().map(|l| &*l.name).collect();
     assert_eq!(names, ["pour_location", "source_cup"]);
     for interval in document.task_space.intervals() {

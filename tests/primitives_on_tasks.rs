@@ -82,14 +82,15 @@ fn on_simulated_pours_the_linear_ones_pour_where_they_are_told() {
     let train = &splits.train;
 
     let tp_gmm = |config: TpGmmConfig| TpGmm::fit(&config, &space, 100, train).unwrap();
-    let default = measured("TP-GMM", &config, &splits, || Box::new(tp_gmm(TpGmmConfig::default())));
-    assert!(means(&default.success)[1] > 0.85);
-    assert!(means(&default.success_and_valid)[1] > 0.7);
+    let blended = measured("TP-GMM", &config, &splits, || Box::new(tp_gmm(TpGmmConfig::default())));
+    assert!(means(&blended.success)[2] > 0.9);
 
     let promp = |config: ProMpConfig| ProMp::fit(&config, &space, 100, train).unwrap();
     let default = measured("ProMP", &config, &splits, || Box::new(promp(ProMpConfig::default())));
     assert!(means(&default.success_and_valid)[0] > 0.9);
     assert!(default.median_task_error.unwrap() < 0.004);
+    // The hand moves while it pours and styles differ, which a product of Gaussians blends.
+    assert!(means(&blended.success)[0] < 0.5 * means(&default.success)[0]);
     // Manners vary: nobody can repeat a demonstration from its task alone.
     assert!((0.05..0.4).contains(&default.reconstruction_rmse));
 

@@ -300,6 +300,11 @@ struct Plan {
     tilt_axis: UnitVector3<f64>,
     /// Angle between the tilt's axis and the hand's direction: 0 for a roll, 90 for a pitch.
     style_deg: f64,
+    /// Where the hand draws back to while the cup tilts, so that the spout stays over the bowl; all
+    /// of the way at 90 degrees.
+    drawn_back: Vector3<f64>,
+    /// Direction from the source to the pour in the plane, rad.
+    way: f64,
     /// Where something goes wrong, if it does.
     accident_secs: f64,
 }
@@ -335,6 +340,9 @@ impl Plan {
             tilt_detours: Vec::new(),
             tilt_axis: manner.tilt_axis,
             style_deg: manner.style_deg,
+            drawn_back: manner.drawn_back,
+            way: (scene.pour.y - scene.grasp.translation.y)
+                .atan2(scene.pour.x - scene.grasp.translation.x),
             accident_secs: 0.0,
         };
         if rng.random_bool(0.12) {
@@ -361,10 +369,10 @@ impl Plan {
         );
         plan.moves.push(Move { start: lift_start, duration: lift_secs, by: up });
         let carry_start = lift_start + lift_secs * rng.random_range(0.45..0.75);
-        // Carrying ends about when pouring begins, sometimes a little later.
-        let carry_end = grasped + manner.pour_start - rng.random_range(-0.15..1.2);
+        // Carrying ends about when pouring begins, often a little later.
+        let carry_end = grasped + manner.pour_start - rng.random_range(-0.5..1.0);
         let carry_secs = (carry_end - carry_start).max(1.0);
-        let to_pour = scene.pour - scene.grasp.translation.vector - up;
+        let to_pour = scene.pour - scene.grasp.translation.vector - up - manner.drawn_back;
         // The way is covered in one to three overlapping sub-movements over one or two points that
         // lie a little off the straight line.
         let parts = rng.random_range(1..=3_usize);
@@ -387,6 +395,10 @@ impl Plan {
             let by = direction(rng) * rng.random_range(0.004..0.022);
             plan.detours.push(Move { start, duration, by });
         }
+        // The way bends, most often away from the body.
+        let across = Vector3::new(-plan.way.sin(), plan.way.cos(), 0.0);
+        let bend = to_pour.norm() * (0.06 * across.x.signum() + 0.08 * normal(rng));
+        plan.detours.push(Move { start: carry_start, duration: carry_secs, by: across * bend });
         plan.yaws.push(Move { start: carry_start, duration: carry_secs, by: manner.yaw });
 
         // The pour.
@@ -484,10 +496,10 @@ impl Plan {
             let start = rise.start + rng.random_range(0.2..1.0) * (fall.start - rise.start);
             self.tilt_detours.push(Move { start, duration, by: rng.random_range(-1.2..1.2) });
         }
-        // The hand moves while it pours.
-        let turn = rng.random_range(0.0..std::f64::consts::TAU);
-        let length = rng.random_range(0.008..0.04);
-        let along = Vector3::new(turn.cos(), turn.sin(), rng.random_range(-0.6..0.6));
+        // The hand moves while it pours, most often onward from where it came.
+        let turn = self.way + manner.stray;
+        let length = rng.random_range(0.012..0.06);
+        let along = Vector3::new(turn.cos(), turn.sin(), rng.random_range(-0.4..0.4));
         self.moves.push(Move {
             start: start - rng.random_range(0.0..0.3),
             duration: manner.pour_duration.max(0.8) + rng.random_range(0.0..0.5),
@@ -527,7 +539,8 @@ impl Plan {
     fn offset(&self, t: f64) -> Vector3<f64> {
         let moved: Vector3<f64> = self.moves.iter().map(|m| m.at(t)).sum();
         let detour: Vector3<f64> = self.detours.iter().map(|m| m.bump_at(t)).sum();
-        self.start_offset + moved + detour
+        let tilt = self.tilt_deg(t).to_radians();
+        self.start_offset + moved + detour + self.drawn_back * tilt.sin()
     }
 
     /// Tilt of the cup against its axis at the grasp.
@@ -822,6 +835,10 @@ struct Manner {
     fall_secs: f64,
     style_deg: f64,
     tilt_axis: UnitVector3<f64>,
+    /// See [`Plan::drawn_back`].
+    drawn_back: Vector3<f64>,
+    /// Direction of the hand's motion while it pours, from that of the way before it, rad.
+    stray: f64,
     /// Turn of the hand about the vertical while carrying, rad.
     yaw: f64,
 }
@@ -838,6 +855,14 @@ impl Manner {
         let hand = scene.grasp.rotation;
         let (roll, pitch) = (hand * Vector3::z(), -(hand * Vector3::y()));
         let tilt_axis = UnitVector3::new_normalize(roll * style.cos() + pitch * style.sin());
+        // The spout is some centimetres above the hand, and leans to where the tilt's axis says.
+        let leans = tilt_axis.cross(&Vector3::z()).normalize();
+        let drawn_back = -leans * rng.random_range(0.02..0.07);
+        let stray = if correlation > 0.0 {
+            0.9 * normal(rng)
+        } else {
+            rng.random_range(0.0..std::f64::consts::TAU)
+        };
         let yaw = (6.0 * normal(rng)).clamp(-14.0, 14.0).to_radians();
         loop {
             let z = normal(rng);
@@ -880,6 +905,8 @@ impl Manner {
                 fall_secs,
                 style_deg,
                 tilt_axis,
+                drawn_back,
+                stray,
                 yaw,
             };
         }

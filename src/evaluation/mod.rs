@@ -13,12 +13,12 @@ pub use primitive::{PrimitiveEvaluation, evaluate_primitive};
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt, SeedableRng};
-use rand_distr::StandardNormal;
+use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use crate::demonstrations::{Demonstration, Splits, Task};
 use crate::model::{Posterior, Recognition};
-use crate::parameters::{MannerParameters, MannerSpace, TaskParameters};
+use crate::parameters::{MannerParameters, TaskParameters};
 use crate::primitive::{MannerConditioned, MovementPrimitive};
 use crate::trajectory::{Motion, Trajectory};
 use intervals::Share;
@@ -52,6 +52,9 @@ pub struct Evaluation {
     pub robustness: Vec<Score>,
     /// Share of prior samples that are robust and inside the task's validity bounds.
     pub robust_and_valid: Vec<Score>,
+    /// The last two with latents from N(0, I), for a model whose prior is a learned one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub with_standard_normal_prior: Option<PriorScores>,
     /// Latents whose mean KL on validation is above 0.1 nat.
     pub active_latents: usize,
     /// Root mean square error of the reconstruction over all steps and state values, in the
@@ -70,6 +73,16 @@ pub struct Evaluation {
     pub model_id: String,
     /// SHA-256 over the data set.
     pub data_digest: String,
+}
+
+/// How robust samples are under another prior.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PriorScores {
+    /// As [`Evaluation::robustness`].
+    pub robustness: Vec<Score>,
+    /// As [`Evaluation::robust_and_valid`].
+    pub robust_and_valid: Vec<Score>,
 }
 
 /// How to evaluate.
@@ -165,8 +178,7 @@ where
     let cases = &splits.test;
     let posteriors = recognition.recognise(cases);
     assert_eq!(posteriors.len(), cases.len(), "one posterior for each demonstration");
-    let manners: Vec<MannerParameters> =
-        posteriors.iter().map(|p| clamped(model.manner_space(), &p.mean)).collect();
+    let manners: Vec<MannerParameters> = posteriors.iter().map(|p| model.manner(&p.mean)).collect();
     let decode =
         |w: &TaskParameters, h: &MannerParameters| model.decode(w, h).motion(*duration_secs);
     let task_error = |w: &TaskParameters, motion: &Motion| match task.empirical_task(motion) {
@@ -185,26 +197,44 @@ where
         score(threshold, intervals::wilson(share(&reconstruction_errors, threshold), cases.len()))
     };
 
-    let mut rng = stream(1);
-    let samples: Vec<PriorSamples> = cases
-        .iter()
-        .map(|case| {
-            let mut samples = PriorSamples::default();
-            for _ in 0..*samples_per_case {
-                let motion = decode(&case.w, &model.sample_manner(&mut rng));
-                let error = task_error(&case.w, &motion);
-                let valid = error.is_finite() && task.violations(&motion).is_empty();
-                samples.errors.push(error);
-                samples.valid_errors.push(if valid { error } else { f64::INFINITY });
+    // Decoded manners of the model's prior, or latents of N(0, I), for every case.
+    let prior_scores =
+        |rng: &mut ChaCha8Rng, sample: &dyn Fn(&TaskParameters, &mut ChaCha8Rng) -> Motion| {
+            let of_case = |case: &Demonstration| {
+                let mut samples = PriorSamples::default();
+                for _ in 0..*samples_per_case {
+                    let motion = sample(&case.w, rng);
+                    let error = task_error(&case.w, &motion);
+                    let valid = error.is_finite() && task.violations(&motion).is_empty();
+                    samples.errors.push(error);
+                    samples.valid_errors.push(if valid { error } else { f64::INFINITY });
+                }
+                samples
+            };
+            let samples: Vec<PriorSamples> = cases.iter().map(of_case).collect();
+            // The same resamples for every threshold, so that the intervals are nested as the shares are.
+            let clustered = |errors: fn(&PriorSamples) -> &[f64], &threshold: &f64| {
+                let shares: Vec<f64> =
+                    samples.iter().map(|s| share(errors(s), threshold)).collect();
+                score(threshold, intervals::cluster_bootstrap(&shares, &mut stream(2)))
+            };
+            PriorScores {
+                robustness: thresholds.iter().map(|t| clustered(|s| &s.errors, t)).collect(),
+                robust_and_valid: thresholds
+                    .iter()
+                    .map(|t| clustered(|s| &s.valid_errors, t))
+                    .collect(),
             }
-            samples
+        };
+    let PriorScores { robustness, robust_and_valid } =
+        prior_scores(&mut stream(1), &|w, rng| decode(w, &model.sample_manner(rng)));
+    let with_standard_normal_prior = model.has_learned_prior().then(|| {
+        prior_scores(&mut stream(5), &|w, rng| {
+            let latents: Vec<f64> =
+                StandardNormal.sample_iter(rng).take(model.manner_space().dim()).collect();
+            model.decode_latents(w, &latents).motion(*duration_secs)
         })
-        .collect();
-    // The same resamples for every threshold, so that the intervals are nested as the shares are.
-    let clustered = |errors: fn(&PriorSamples) -> &[f64], &threshold: &f64| {
-        let shares: Vec<f64> = samples.iter().map(|s| share(errors(s), threshold)).collect();
-        score(threshold, intervals::cluster_bootstrap(&shares, &mut stream(2)))
-    };
+    });
 
     let active = active_latents(&recognition.recognise(&splits.validation));
 
@@ -223,8 +253,9 @@ where
 
     Ok(Evaluation {
         success: thresholds.iter().map(success).collect(),
-        robustness: thresholds.iter().map(|t| clustered(|s| &s.errors, t)).collect(),
-        robust_and_valid: thresholds.iter().map(|t| clustered(|s| &s.valid_errors, t)).collect(),
+        robustness,
+        robust_and_valid,
+        with_standard_normal_prior,
         active_latents: active.iter().filter(|a| **a).count(),
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
         leak_r2: leak::leak_r2(&fit, &held_out, &mut rng),
@@ -280,12 +311,6 @@ fn check_same<P: MovementPrimitive + ?Sized>(
         }
     }
     Ok(())
-}
-
-/// The manner, each value at its nearest bound where it lies outside.
-fn clamped(space: &MannerSpace, values: &[f64]) -> MannerParameters {
-    let inside = space.axes().iter().zip(values).map(|(a, v)| v.clamp(a.lower, a.upper)).collect();
-    MannerParameters::new(space, inside).expect("a finite posterior mean for every latent")
 }
 
 /// Mean square difference over all steps and values, the demonstration resampled to the model's

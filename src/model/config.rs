@@ -47,6 +47,14 @@ pub struct NetworkConfig {
     /// whole motion, 3 for a task with two events. 0 is the paper's phase, in which motions have no
     /// duration and are served at the demonstrations' median.
     pub segments: usize,
+    /// Whether the decoder sees w; without, and with 10 latents, it is the paper's VAE.
+    pub task_conditioned: bool,
+    /// Whether log-variances are bounded, the decoder's softly to [-12, 4] and the recognition
+    /// network's to [-10, 4]. Not in the paper.
+    pub bounded_variances: bool,
+    /// Our variant: components of a mixture that is fitted to the latents of the training set in
+    /// place of the paper's N(0, I), see [`super::LearnedPrior`]; 0 keeps N(0, I).
+    pub prior_components: usize,
     /// Our variant: the recognition network sees the phase and w beside each state, so that it can
     /// tell when something happens and what of it follows from the task. Not in the paper.
     pub recognition_sees_context: bool,
@@ -73,6 +81,9 @@ impl Default for NetworkConfig {
             task_baseline: false,
             margins: false,
             segments: 0,
+            task_conditioned: true,
+            bounded_variances: true,
+            prior_components: 0,
             recognition_sees_context: false,
         }
     }
@@ -132,6 +143,7 @@ impl ModelConfig {
             ("task_dim", self.task_dim, 1, 1000),
             ("latents", latents, 1, 1000),
             ("width", width, 1, 10_000),
+            ("prior_components", self.network.prior_components, 0, 1000),
         ] {
             if !(lower..=upper).contains(&value) {
                 return Err(ConfigError { name, value, lower, upper });

@@ -12,6 +12,7 @@ mod normalizer;
 mod objective;
 mod packed;
 mod primitive;
+mod prior;
 #[cfg(feature = "train")]
 mod recogniser;
 
@@ -25,6 +26,7 @@ pub use normalizer::{Baseline, Normalizer};
 pub use objective::{Batch, Objective, PartGradients, Strengths, Terms};
 pub use packed::{Decoded, PackedDecoder, Workspace};
 pub use primitive::TcVaePrimitive;
+pub use prior::LearnedPrior;
 #[cfg(feature = "train")]
 pub use recogniser::Recogniser;
 #[cfg(feature = "train")]
@@ -68,6 +70,15 @@ pub enum ModelError {
         found: Vec<f64>,
         /// Number of values that it must have.
         expected: usize,
+    },
+    /// A learned prior whose parts are not a mixture.
+    #[error(
+        "the learned prior is no mixture: its shares add up to {total}, where 1 is needed, or one \
+         of them or of its deviations is not above 0"
+    )]
+    Prior {
+        /// Sum of the components' shares.
+        total: f64,
     },
     /// A space has another number of values than the model.
     #[error("the {name} space has {found} values where the model has {expected}")]

@@ -155,7 +155,11 @@ impl Networks {
         let mean = parameters.mlp("recognition.mean", network.activation, pooled.clone());
         let log_variance = parameters.mlp("recognition.log_variance", network.activation, pooled);
         let (lower, upper) = POSTERIOR_LOG_VARIANCE;
-        PosteriorTensors { mean, log_variance: log_variance.clamp(lower, upper) }
+        let log_variance = match network.bounded_variances {
+            true => log_variance.clamp(lower, upper),
+            false => log_variance,
+        };
+        PosteriorTensors { mean, log_variance }
     }
 
     /// `p(x|w, h)` (eq. 9-12) for `h`, `[batch, latents]`, and `w`, `[batch, task_dim]`.
@@ -185,9 +189,11 @@ impl Networks {
         }
         let mean = parameters.mlp("decoder.mean", network.activation, x.clone());
         let raw = parameters.mlp("decoder.log_variance", network.activation, x);
-        let bounded = raw.div_scalar(LOG_VARIANCE_HALF_RANGE).tanh();
-        let log_variance =
-            bounded.mul_scalar(LOG_VARIANCE_HALF_RANGE).add_scalar(LOG_VARIANCE_CENTRE);
+        let bounded = |raw: Tensor<2>| {
+            let share = raw.div_scalar(LOG_VARIANCE_HALF_RANGE).tanh();
+            share.mul_scalar(LOG_VARIANCE_HALF_RANGE).add_scalar(LOG_VARIANCE_CENTRE)
+        };
+        let log_variance = if network.bounded_variances { bounded(raw) } else { raw };
         DecodedTensors { mean, log_variance }
     }
 

@@ -84,6 +84,8 @@ pub(crate) struct Units {
     pub(crate) normalizer: Normalizer,
     pub(crate) baseline: Option<Baseline>,
     steps: usize,
+    /// Whether the network sees the task; else every task is 0.
+    conditioned: bool,
 }
 
 impl Units {
@@ -110,7 +112,8 @@ impl Units {
             true => Some(Baseline::from_weights(config, weights)?),
             false => None,
         };
-        Ok(Self { normalizer: normalizer.clone(), baseline, steps: config.steps })
+        let conditioned = config.network.task_conditioned;
+        Ok(Self { normalizer: normalizer.clone(), baseline, steps: config.steps, conditioned })
     }
 
     /// [`Normalizer::fit`].
@@ -121,7 +124,8 @@ impl Units {
         let states = demonstrations.iter().flat_map(|d| d.motion.states.states());
         let (state_offset, state_scale) = moments(state_dim, &states.collect::<Vec<_>>());
         let normalizer = Normalizer { state_offset, state_scale, task_offset, task_scale };
-        let mut units = Self { normalizer, baseline: None, steps };
+        let conditioned = network.task_conditioned;
+        let mut units = Self { normalizer, baseline: None, steps, conditioned };
         if network.task_baseline {
             units.baseline = Some(units.fit_baseline(demonstrations));
             units.normalizer.state_offset = vec![0.0; state_dim];
@@ -157,8 +161,11 @@ impl Units {
         Baseline { weight: (0..inputs - 1).flat_map(row).collect(), bias: row(inputs - 1) }
     }
 
-    /// The normalised task.
+    /// The normalised task; zeros for a network that does not see it.
     pub(crate) fn task(&self, w: &[f64]) -> Vec<f32> {
+        if !self.conditioned {
+            return vec![0.0; w.len()];
+        }
         let Normalizer { task_offset, task_scale, .. } = &self.normalizer;
         let scaled = w.iter().zip(task_offset).zip(task_scale).map(|((w, o), s)| (w - o) / s);
         scaled.map(|w| w.clamp(-TASK_LIMIT, TASK_LIMIT) as f32).collect()

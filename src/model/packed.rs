@@ -288,8 +288,10 @@ impl WithSimd for Decode<'_> {
             let (t, b) = (row / batch, row % batch);
             let place = (b * steps + t) * state_dim..(b * steps + t + 1) * state_dim;
             mean[place.clone()].copy_from_slice(&head[..*state_dim]);
-            for (bounded, raw) in log_variance[place].iter_mut().zip(&head[*state_dim..]) {
-                *bounded = bound_log_variance(*raw);
+            let raw = &head[*state_dim..2 * *state_dim];
+            log_variance[place.clone()].copy_from_slice(raw);
+            if network.bounded_variances {
+                log_variance[place].iter_mut().for_each(|v| *v = bound_log_variance(*v));
             }
         }
     }

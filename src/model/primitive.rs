@@ -6,6 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::config::ModelConfig;
 use super::normalizer::{Normalizer, Units};
 use super::packed::{PackedDecoder, Workspace};
+use super::prior::LearnedPrior;
 use super::{ModelError, Weights};
 use crate::alignment::Alignment;
 use crate::parameters::{MannerParameters, MannerSpace, TaskParameters, TaskSpace};
@@ -23,6 +24,7 @@ const LOG_SECS: f64 = 20.0;
 pub struct TcVaePrimitive {
     units: Units,
     decoder: PackedDecoder,
+    prior: Option<LearnedPrior>,
     task_space: TaskSpace,
     manner_space: MannerSpace,
 }
@@ -51,13 +53,17 @@ impl TcVaePrimitive {
         }
         let units = Units::new(config, normalizer, weights)?;
         let decoder = PackedDecoder::new(config, weights)?;
+        let prior = match config.network.prior_components {
+            0 => None,
+            k => Some(LearnedPrior::from_weights(config.network.latents, k, weights)?),
+        };
         let (h, w) = (vec![0.0; config.network.latents], vec![0.0; config.task_dim]);
         let mut workspace = decoder.workspace(1);
         let decoded = decoder.decode(&h, &w, &mut workspace);
         if !decoded.mean.iter().chain(decoded.log_variance).all(|v| v.is_finite()) {
             return Err(ModelError::NotFinite);
         }
-        Ok(Self { units, decoder, task_space, manner_space })
+        Ok(Self { units, decoder, prior, task_space, manner_space })
     }
 
     /// Buffers for [`Self::decode_with`].
@@ -75,9 +81,21 @@ impl TcVaePrimitive {
         h: &MannerParameters,
         workspace: &mut Workspace,
     ) -> Generated {
+        match &self.prior {
+            Some(prior) => self.decode_at(w, &prior.latents(h.values()), workspace),
+            None => self.decode_at(w, h.values(), workspace),
+        }
+    }
+
+    fn decode_at(
+        &self,
+        w: &TaskParameters,
+        latents: &[f64],
+        workspace: &mut Workspace,
+    ) -> Generated {
         let task = self.units.task(w.values());
-        let manner: Vec<f32> = h.values().iter().map(|h| *h as f32).collect();
-        let decoded = self.decoder.decode(&manner, &task, workspace);
+        let latents: Vec<f32> = latents.iter().map(|h| *h as f32).collect();
+        let decoded = self.decoder.decode(&latents, &task, workspace);
         let scale = || self.units.normalizer.state_scale.iter().cycle();
         let residual = decoded.mean.iter().zip(scale()).map(|(x, scale)| f64::from(*x) * scale);
         let centre = self.units.centre(&task);
@@ -155,6 +173,24 @@ impl MannerConditioned for TcVaePrimitive {
         };
         MannerParameters::new(&self.manner_space, axes.iter().map(draw).collect())
             .expect("every value lies inside its bounds")
+    }
+
+    fn manner(&self, latents: &[f64]) -> MannerParameters {
+        match &self.prior {
+            Some(prior) => MannerParameters::clamped(&self.manner_space, &prior.manner(latents)),
+            None => MannerParameters::clamped(&self.manner_space, latents),
+        }
+    }
+
+    fn decode_latents(&self, w: &TaskParameters, latents: &[f64]) -> Generated {
+        match &self.prior {
+            Some(_) => self.decode_at(w, latents, &mut self.workspace()),
+            None => self.decode(w, &self.manner(latents)),
+        }
+    }
+
+    fn has_learned_prior(&self) -> bool {
+        self.prior.is_some()
     }
 }
 

@@ -200,20 +200,14 @@ fn integrate<S: Clone>(
     states
 }
 
-/// `weights` with normal noise whose standard deviation is `share` of the root mean square of the
-/// weights of the same value (the same row): another motion of the same kind, from the same start
-/// to the same goal.
+/// `weights`, each times `1 + share * e` with standard normal `e`: another motion of the same kind,
+/// from the same start to the same goal, pushed by forces that are a little larger or smaller.
 ///
 /// # Panics
 /// When `share` is negative or not finite.
 pub fn perturbed<R: Rng + ?Sized>(weights: &DMatrix<f64>, share: f64, rng: &mut R) -> DMatrix<f64> {
     assert!((0.0..f64::INFINITY).contains(&share), "a share of the weights");
-    let mut perturbed = weights.clone();
-    for mut row in perturbed.row_iter_mut() {
-        let scale = share * (row.norm_squared() / row.len() as f64).sqrt();
-        row.iter_mut().for_each(|v| *v += scale * rng.sample::<f64, _>(StandardNormal));
-    }
-    perturbed
+    weights.map(|v| v * (1.0 + share * rng.sample::<f64, _>(StandardNormal)))
 }
 
 /// A dynamic movement primitive of a vector: a position, or any state whose values may be added.

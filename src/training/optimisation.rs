@@ -15,10 +15,11 @@ use super::report::{EpochReport, LatentStatistics, MeanTerms};
 use super::selection::Selector;
 use crate::demonstrations::{Demonstration, Splits, Task};
 use crate::model::{
-    Backend, Batch, ConfigError, Layout, ModelConfig, NamedTensor, Normalizer, Objective,
-    PartGradients, Posterior, Recogniser, Recognition, Strengths, Terms, Units, Weights,
+    Backend, Batch, ConfigError, Layout, LearnedPrior, ModelConfig, NamedTensor, Normalizer,
+    Objective, PartGradients, Posterior, Recogniser, Recognition, Strengths, Terms, Units, Weights,
     WeightsError, time_major,
 };
+use crate::primitives::PrimitiveError;
 use crate::trajectory::Motion;
 
 /// Why a training can't start or go on.
@@ -85,6 +86,9 @@ pub enum TrainingError {
         /// The latents.
         latents: usize,
     },
+    /// A prior that can't be learned.
+    #[error("the learned prior (network.prior_components): {0}")]
+    Prior(#[from] PrimitiveError),
     /// A demonstration that does not show the task.
     #[error("demonstration {id} does not show the task, so it has no factors for manner.anchors")]
     NoFactors {
@@ -267,6 +271,9 @@ const START_STREAM: u64 = 0;
 /// Stream of the noise on the validation set: the same in every epoch.
 const VALIDATION_STREAM: u64 = u64::MAX;
 
+/// Stream of what a learned prior is fitted with.
+const PRIOR_STREAM: u64 = u64::MAX - 1;
+
 fn stream(seed: u64, stream: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(stream);
@@ -430,11 +437,16 @@ pub fn train(
     }
 
     let selected_epoch = state.best.as_ref().map(|best| best.epoch);
-    let weights = weights(state.best.as_ref().map_or(&state.model.values, |best| &best.model));
+    let mut weights = weights(state.best.as_ref().map_or(&state.model.values, |best| &best.model));
     let normalizer = units.normalizer;
     let recogniser = Recogniser::new(&model, &normalizer, &weights, config.backend)
         .expect("weights that were just trained");
     let latents = statistics(&recogniser.recognise(&data.validation));
+    if model.network.prior_components > 0 {
+        let mut rng = stream(config.seed, PRIOR_STREAM);
+        let samples = sampled(&recogniser.recognise(&data.train), &mut rng);
+        LearnedPrior::fit(&samples, model.network.prior_components, &mut rng)?.add_to(&mut weights);
+    }
     let last_epoch = state.report;
     Ok(Outcome::Finished(Box::new(Trained {
         model,
@@ -529,6 +541,19 @@ fn mean(sums: &Terms) -> MeanTerms {
         adversary: sums.adversary / n,
         anchors: sums.anchors / n,
     }
+}
+
+/// One sample of each posterior.
+fn sampled(posteriors: &[Posterior], rng: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
+    let mut sample = |posterior: &Posterior| {
+        let latents = posterior.mean.iter().zip(&posterior.log_variance);
+        let noise = |(mean, v): (&f64, &f64)| {
+            let z: f64 = StandardNormal.sample(rng);
+            mean + (0.5 * v).exp() * z
+        };
+        latents.map(noise).collect()
+    };
+    posteriors.iter().map(&mut sample).collect()
 }
 
 fn statistics(posteriors: &[Posterior]) -> Vec<LatentStatistics> {

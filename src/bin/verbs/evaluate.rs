@@ -11,7 +11,7 @@ use rand::rngs::ChaCha8Rng;
 use tcvae::artifact::{Artifact, ModelDocument};
 use tcvae::demonstrations::Splits;
 use tcvae::evaluation::manner::{described, manner_effects};
-use tcvae::evaluation::{self, Evaluation, EvaluationOptions, Score};
+use tcvae::evaluation::{self, Evaluation, EvaluationOptions, PriorScores, Score};
 use tcvae::model::{Backend, Recogniser};
 
 use super::sources::Recordings;
@@ -111,6 +111,7 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         success,
         robustness,
         robust_and_valid,
+        with_standard_normal_prior,
         active_latents,
         reconstruction_rmse,
         leak_r2,
@@ -127,7 +128,7 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
     };
     let row = |name: &str, cells: Vec<String>| format!("{name:<22}{}", cells.concat());
     let scores = |name, scores: &[Score]| row(name, scores.iter().map(cell).collect());
-    let lines = [
+    let mut lines = vec![
         format!(
             "model {model_id} on data {}: {cases} test cases, seed {seed}",
             data_digest.get(..12).unwrap_or(data_digest)
@@ -137,13 +138,20 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         scores("success", success),
         scores("robustness", robustness),
         scores("robust and valid", robust_and_valid),
+    ];
+    if let Some(PriorScores { robustness, robust_and_valid }) = with_standard_normal_prior {
+        lines.push("with latents of N(0, I) instead of the learned prior's:".into());
+        lines.push(scores("robustness", robustness));
+        lines.push(scores("robust and valid", robust_and_valid));
+    }
+    lines.extend([
         String::new(),
         format!("{:<22}{active_latents} of {latents}", "active latents"),
         format!("{:<22}{reconstruction_rmse:.4}", "reconstruction rmse"),
         format!("{:<22}{leak_r2:.3}", "leak of the task, R2"),
         format!("{:<22}{swap:.3}", "swap, middle distance"),
-    ];
-    lines.map(|line| line.trim_end().to_owned()).join("\n")
+    ]);
+    lines.iter().map(|line| line.trim_end()).collect::<Vec<_>>().join("\n")
 }
 
 #[cfg(test)]
@@ -155,10 +163,11 @@ mod tests {
         let score =
             |threshold, mean| Score { threshold, mean, low: mean - 0.01, high: mean + 0.01 };
         let scores = |mean| vec![score(0.01, mean), score(0.02, mean)];
-        let evaluation = Evaluation {
+        let mut evaluation = Evaluation {
             success: scores(0.9),
             robustness: scores(0.8),
             robust_and_valid: scores(0.7),
+            with_standard_normal_prior: None,
             active_latents: 2,
             reconstruction_rmse: 0.01234,
             leak_r2: 0.05,
@@ -182,6 +191,18 @@ active latents        2 of 4
 reconstruction rmse   0.0123
 leak of the task, R2  0.050
 swap, middle distance 0.650"
+        );
+        evaluation.with_standard_normal_prior =
+            Some(PriorScores { robustness: scores(0.6), robust_and_valid: scores(0.5) });
+        let with_both = table(&evaluation, 4, "m");
+        let lines: Vec<_> = with_both.lines().skip(6).take(3).collect();
+        assert_eq!(
+            lines,
+            [
+                "with latents of N(0, I) instead of the learned prior's:",
+                "robustness            0.600 [0.590, 0.610]    0.600 [0.590, 0.610]",
+                "robust and valid      0.500 [0.490, 0.510]    0.500 [0.490, 0.510]",
+            ]
         );
     }
 }
