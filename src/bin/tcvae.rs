@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, evaluate, inspect, print_json, sample, simulate, train};
+use verbs::{ExitStatus, evaluate, inspect, print_json, sample, simulate, sweep, train};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -28,6 +28,8 @@ enum Verb {
     Simulate(simulate::SimulateArgs),
     /// Learn a model from demonstrations
     Train(train::TrainArgs),
+    /// Train many models that differ in their settings, and rank them
+    Sweep(sweep::SweepArgs),
     /// Sample checked motions of a model
     Sample(sample::SampleArgs),
     /// Measure a model on data that it was not trained on
@@ -41,6 +43,7 @@ impl Verb {
         match self {
             Self::Simulate(args) => args.json,
             Self::Train(args) => args.json,
+            Self::Sweep(args) => args.json,
             Self::Sample(args) => args.json,
             Self::Evaluate(args) => args.json,
             Self::Inspect(args) => args.json,
@@ -51,6 +54,7 @@ impl Verb {
         match self {
             Self::Simulate(args) => simulate::run(args),
             Self::Train(args) => train::run(args),
+            Self::Sweep(args) => sweep::run(args),
             Self::Sample(args) => sample::run(args),
             Self::Evaluate(args) => evaluate::run(args),
             Self::Inspect(args) => inspect::run(args),

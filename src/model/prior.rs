@@ -239,6 +239,8 @@ impl Next {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::LazyLock;
+
     use super::*;
     use proptest::prelude::*;
     use rand::SeedableRng;
@@ -257,8 +259,11 @@ mod tests {
         (0..count).map(point).collect()
     }
 
-    fn fitted() -> LearnedPrior {
-        LearnedPrior::fit(&ring(3000, 1), 16, &mut ChaCha8Rng::seed_from_u64(2)).unwrap()
+    fn fitted() -> &'static LearnedPrior {
+        static FITTED: LazyLock<LearnedPrior> = LazyLock::new(|| {
+            LearnedPrior::fit(&ring(3000, 1), 16, &mut ChaCha8Rng::seed_from_u64(2)).unwrap()
+        });
+        &FITTED
     }
 
     #[test]
@@ -304,7 +309,7 @@ mod tests {
         let prior = fitted();
         let mut weights = Weights::new();
         prior.add_to(&mut weights);
-        assert_eq!(LearnedPrior::from_weights(3, 16, &weights).unwrap(), prior);
+        assert_eq!(&LearnedPrior::from_weights(3, 16, &weights).unwrap(), prior);
         assert!(LearnedPrior::from_weights(3, 17, &weights).is_err());
         weights.get_mut(WEIGHTS).unwrap().values[0] = 3.0;
         let error = LearnedPrior::from_weights(3, 16, &weights).unwrap_err();

@@ -14,6 +14,8 @@ mod optimisation;
 mod report;
 #[cfg(feature = "train")]
 mod selection;
+#[cfg(feature = "train")]
+pub mod sweep;
 
 #[cfg(feature = "train")]
 pub use adam::Adam;

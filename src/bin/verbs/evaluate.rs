@@ -18,7 +18,7 @@ use super::sources::Recordings;
 use super::{ExitStatus, print_json, print_line};
 
 /// Seed of an evaluation where none is given.
-const DEFAULT_SEED: u64 = 0;
+pub(crate) const DEFAULT_SEED: u64 = 0;
 
 /// Arguments of `tcvae evaluate`.
 #[derive(Debug, Args)]
@@ -82,16 +82,8 @@ pub(crate) fn measure(
     Ok(Evaluation { model_id: artifact.model_id(), data_digest, ..evaluation })
 }
 
-/// Adds to a freshly trained model what each of its manner parameters does, and the evaluation by
-/// the seed that `tcvae evaluate` takes when none is given.
-///
-/// # Errors
-/// Too few demonstrations to evaluate on.
-pub(crate) fn add_measures(
-    artifact: &mut Artifact,
-    splits: &Splits,
-    data_digest: String,
-) -> anyhow::Result<()> {
+/// Adds to a freshly trained model what each of its manner parameters does.
+pub(crate) fn add_names(artifact: &mut Artifact, splits: &Splits) {
     let ModelDocument { task, duration_secs, latents, manner_space, .. } = &artifact.document;
     let active: Vec<bool> =
         latents.iter().map(|latent| latent.kl > evaluation::ACTIVE_KL_NATS).collect();
@@ -100,9 +92,6 @@ pub(crate) fn add_measures(
     let effects =
         manner_effects(&artifact.primitive(), task.task(), &tasks, *duration_secs, &mut rng);
     artifact.document.manner_space = described(manner_space, &effects, &active);
-    let evaluation = measure(artifact, splits, data_digest, DEFAULT_SEED)?;
-    artifact.document.evaluation = Some(evaluation);
-    Ok(())
 }
 
 /// The evaluation as a person reads it: never one of the two metrics without its companions.

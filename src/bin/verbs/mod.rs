@@ -5,6 +5,7 @@ pub(crate) mod inspect;
 pub(crate) mod sample;
 pub(crate) mod simulate;
 pub(crate) mod sources;
+pub(crate) mod sweep;
 pub(crate) mod train;
 
 use std::io::{self, Write};

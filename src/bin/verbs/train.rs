@@ -21,6 +21,7 @@ use tcvae::kinematics::RobotRecord;
 use tcvae::model::Backend;
 use tcvae::parameters::{Interval, MannerSpace, TaskLocation, TaskSpace};
 use tcvae::pose::STATE_NAMES;
+use tcvae::training::sweep::{nested, overlay};
 use tcvae::training::{
     self, Checkpoint, EpochReport, MeanTerms, Outcome, Progress, Trained, TrainingConfig,
 };
@@ -68,19 +69,42 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
     let source = Source::load(&args.recordings)?;
     let config = settings(&args, source.preset())?;
     let start = args.resume.then(|| files.checkpoint(&config, &source)).transpose()?;
-    let mut log = Log::new(&files, &config, &source, start.as_ref())?;
-
-    keep_memory();
     let stop = stop_on_signal()?;
     let began = Instant::now();
+    let Some(mut artifact) = learn(&files, &source, &config, start, &stop)? else {
+        return Ok(ExitStatus::BelowAsked);
+    };
+    // What was learned is kept even where it can't be measured.
+    let Source { splits, digest, .. } = &source;
+    evaluate::add_names(&mut artifact, splits);
+    match evaluate::measure(&artifact, splits, digest.clone(), evaluate::DEFAULT_SEED) {
+        Ok(evaluation) => artifact.document.evaluation = Some(evaluation),
+        Err(error) => eprintln!("the model is saved without an evaluation: {error}"),
+    }
+    files.finish(&artifact)?;
+    Ok(report(&artifact, &files.model, &config, began.elapsed(), args.json))
+}
+
+/// Trains a model, with a checkpoint and a line of metrics after every epoch; none where it was
+/// stopped.
+pub(super) fn learn(
+    files: &Files,
+    source: &Source,
+    config: &TrainingConfig,
+    start: Option<Checkpoint>,
+    stop: &AtomicBool,
+) -> anyhow::Result<Option<Artifact>> {
+    let mut log = Log::new(files, config, source, start.as_ref())?;
+    keep_memory();
     let task = source.task.task();
-    let outcome = training::train(&config, task, &source.splits, start, &stop, &mut |progress| {
+    let outcome = training::train(config, task, &source.splits, start, stop, &mut |progress| {
         log.show(progress);
     });
     let saved = log.finish();
-    match outcome? {
+    let outcome = outcome?;
+    saved?;
+    match outcome {
         Outcome::Stopped { epochs } => {
-            saved?;
             let checkpoint = files.checkpoint.display();
             eprintln!(
                 "stopped after epoch {epochs} of {}; {}",
@@ -90,21 +114,9 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
                     _ => format!("saved {checkpoint}; the same command with --resume goes on"),
                 }
             );
-            Ok(ExitStatus::BelowAsked)
+            Ok(None)
         }
-        Outcome::Finished(trained) => {
-            saved?;
-            let mut artifact = source.artifact(&config, *trained)?;
-            let Source { splits, digest, .. } = &source;
-            // What was learned is kept even where it can't be measured.
-            if let Err(error) = evaluate::add_measures(&mut artifact, splits, digest.clone()) {
-                eprintln!("the model is saved without an evaluation: {error}");
-            }
-            artifact.save(&files.model)?;
-            // The model is whole: there is nothing left to resume.
-            let _ = fs::remove_file(&files.checkpoint);
-            Ok(report(&artifact, &files.model, &config, began.elapsed(), args.json))
-        }
+        Outcome::Finished(trained) => source.artifact(config, *trained).map(Some),
     }
 }
 
@@ -163,7 +175,7 @@ fn settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<Training
         let Some((key, value)) = setting.split_once('=') else {
             return Err(usage(format!("--set {setting}: write it as KEY=VALUE")));
         };
-        overlay(&mut table, nested(key.trim(), value.trim()));
+        overlay(&mut table, nested(key.trim(), self::value(value.trim())));
     }
     let mut config: TrainingConfig =
         table.try_into().map_err(|e: toml::de::Error| usage(format!("--set: {}", e.message())))?;
@@ -173,40 +185,18 @@ fn settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<Training
     Ok(config)
 }
 
-/// `a.b = value` as tables; a value that is no TOML is a string.
-fn nested(key: &str, value: &str) -> toml::Table {
-    let (first, rest) = match key.split_once('.') {
-        Some((first, rest)) => (first, Some(rest)),
-        None => (key, None),
-    };
-    let value = match rest {
-        Some(rest) => toml::Value::Table(nested(rest, value)),
-        None => format!("value = {value}")
-            .parse::<toml::Table>()
-            .ok()
-            .and_then(|mut table| table.remove("value"))
-            .unwrap_or_else(|| toml::Value::String(value.into())),
-    };
-    toml::Table::from_iter([(first.to_owned(), value)])
-}
-
-/// Puts the values of `over` into `table`.
-fn overlay(table: &mut toml::Table, over: toml::Table) {
-    for (key, value) in over {
-        match (table.get_mut(&key), value) {
-            (Some(toml::Value::Table(inner)), toml::Value::Table(over)) => overlay(inner, over),
-            (_, value) => {
-                table.insert(key, value);
-            }
-        }
-    }
+/// The value as TOML; what is none is a string.
+fn value(text: &str) -> toml::Value {
+    let parsed = format!("value = {text}").parse::<toml::Table>().ok();
+    let parsed = parsed.and_then(|mut table| table.remove("value"));
+    parsed.unwrap_or_else(|| toml::Value::String(text.into()))
 }
 
 /// Demonstrations, and what the model file says of them.
-struct Source {
+pub(super) struct Source {
     task: TaskConfig,
-    splits: Splits,
-    digest: String,
+    pub(super) splits: Splits,
+    pub(super) digest: String,
     data_source: DataSource,
     task_space: TaskSpace,
     state_names: Vec<String>,
@@ -215,7 +205,7 @@ struct Source {
 }
 
 impl Source {
-    fn load(recordings: &Recordings) -> anyhow::Result<Self> {
+    pub(super) fn load(recordings: &Recordings) -> anyhow::Result<Self> {
         let Data { task, splits, digest, source, robot, summary } = recordings.data(None)?;
         eprintln!("{summary}");
         let (space, state_names, reference) = match &task {
@@ -300,8 +290,8 @@ fn median_duration_secs(demonstrations: &[Demonstration]) -> f64 {
 }
 
 /// The files of a training, all in one folder.
-struct Files {
-    model: PathBuf,
+pub(super) struct Files {
+    pub(super) model: PathBuf,
     checkpoint: PathBuf,
     metrics: PathBuf,
 }
@@ -316,7 +306,7 @@ struct CheckpointDocument {
 }
 
 impl Files {
-    fn beside(model: &Path) -> anyhow::Result<Self> {
+    pub(super) fn beside(model: &Path) -> anyhow::Result<Self> {
         if model.is_dir() || model.file_name().is_none() {
             let path = model.display();
             return Err(UsageError(format!("-o {path} is a folder; name a file in it")).into());
@@ -330,7 +320,7 @@ impl Files {
 
     /// Makes the folder, checks that it can be written to, and keeps other trainings out of it for
     /// as long as the answer lives.
-    fn claim(&self) -> anyhow::Result<File> {
+    pub(super) fn claim(&self) -> anyhow::Result<File> {
         let folder = artifact::folder_of(&self.model);
         let at = || folder.display().to_string();
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", at()))?;
@@ -349,7 +339,11 @@ impl Files {
     }
 
     /// The checkpoint, if it is one of this training.
-    fn checkpoint(&self, config: &TrainingConfig, source: &Source) -> anyhow::Result<Checkpoint> {
+    pub(super) fn checkpoint(
+        &self,
+        config: &TrainingConfig,
+        source: &Source,
+    ) -> anyhow::Result<Checkpoint> {
         let path = self.checkpoint.display();
         if !self.checkpoint.exists() {
             return Err(UsageError(format!("--resume: there is no checkpoint {path}")).into());
@@ -368,6 +362,13 @@ impl Files {
         let first = &source.splits.train.first().context("no demonstrations to train on")?;
         let model = config.model(first.motion.states.dim(), first.w.values().len());
         Ok(Checkpoint::from_weights(config, &model, &tensors, report)?)
+    }
+
+    /// Writes the whole model; there is nothing left to resume.
+    pub(super) fn finish(&self, artifact: &Artifact) -> anyhow::Result<()> {
+        artifact.save(&self.model)?;
+        let _ = fs::remove_file(&self.checkpoint);
+        Ok(())
     }
 
     fn save(&self, checkpoint: &Checkpoint, document: &CheckpointDocument) -> anyhow::Result<()> {
@@ -538,7 +539,7 @@ fn epoch_line(report: &EpochReport, epochs: usize, seconds: f64) -> String {
 }
 
 /// A flag that the first Ctrl-C or SIGTERM sets; the second ends the program at once.
-fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
+pub(super) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || {
@@ -560,7 +561,7 @@ fn keep_memory() {
             unsafe_code,
             reason = "mallopt has no safe binding; it only sets allocator limits"
         )]
-        // SAFETY: mallopt takes plain numbers, and no other thread runs yet.
+        // SAFETY: mallopt takes plain numbers, and glibc guards its settings by its own lock.
         unsafe {
             libc::mallopt(libc::M_MMAP_THRESHOLD, KEPT);
             libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT);
