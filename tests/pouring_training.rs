@@ -26,6 +26,8 @@ const TRAIN: &[&str] = &[
     "--set",
     "epochs=8",
     "--set",
+    "batch=8",
+    "--set",
     "beta=0.1",
     "--set",
     "network.width=8",

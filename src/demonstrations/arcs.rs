@@ -190,8 +190,20 @@ impl ArcsTask {
     /// The manner of an arc as [`Task::factors`] reports it.
     pub fn factors_of(&self, arc: &Arc) -> Vec<Factor> {
         let mut factors = vec![
-            Factor { name: "radius", unit: "1", phrase: "radius", value: arc.radius },
-            Factor { name: "span", unit: "rad", phrase: "span", value: arc.span_rad },
+            Factor {
+                name: "radius",
+                unit: "1",
+                phrase: "radius",
+                value: arc.radius,
+                derived: false,
+            },
+            Factor {
+                name: "span",
+                unit: "rad",
+                phrase: "span",
+                value: arc.span_rad,
+                derived: false,
+            },
         ];
         match self.start {
             // The branch is cut opposite to the middle of the data, so that an arc which starts
@@ -201,10 +213,12 @@ impl ArcsTask {
                 unit: "rad",
                 phrase: "start angle",
                 value: wrapped(arc.start_rad - FRAC_PI_2) + FRAC_PI_2,
+                derived: false,
             }),
             ArcStart::Full => {
                 let (sin, cos) = arc.start_rad.sin_cos();
-                let factor = |name, phrase, value| Factor { name, unit: "1", phrase, value };
+                let factor =
+                    |name, phrase, value| Factor { name, unit: "1", phrase, value, derived: false };
                 factors.push(factor("start_cos", "cosine of the start angle", cos));
                 factors.push(factor("start_sin", "sine of the start angle", sin));
             }

@@ -4,6 +4,10 @@
 //! the weights of its dynamic movement primitive are perturbed a little, and the whole is turned
 //! about the vertical and moved. Its task parameters move along: they are those of the copy's own
 //! motion. What is kept is still a valid pour inside the region of the demonstrations.
+//!
+//! Ours on top, not in the paper: a copy is also a little longer or shorter, higher or lower, and
+//! tilted more or less. Copies of one demonstration that share its manner teach a recognition network
+//! to tell demonstrations apart, instead of what they do.
 
 use std::collections::VecDeque;
 
@@ -14,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::pouring::PouringTask;
 use super::task::Task;
 use super::{Demonstration, Splits};
+use crate::alignment::{Alignment, segment_secs};
 use crate::parameters::Interval;
 use crate::primitives::dmp::{DmpConfig, PoseDmp};
 use crate::trajectory::Motion;
@@ -36,6 +41,14 @@ pub struct Augmentation {
     /// primitive, as a share of each. 0.004 moves the tip by about 3 mm and turns it by 2 degrees,
     /// as neighbouring weights are large and nearly cancel.
     pub weight_noise: f64,
+    /// Ours: largest change of the times before, during and after the pour, as a share of each.
+    pub max_stretch: f64,
+    /// Ours: largest change of the turn from the grasp, as a share.
+    pub max_turn_change: f64,
+    /// Ours: largest change of the height above the grasp, as a share.
+    pub max_lift_change: f64,
+    /// Ours: largest move up or down of the whole.
+    pub max_rise_m: f64,
     /// How far task parameters may leave the box around the demonstrated ones.
     pub region_margin_m: f64,
     /// Tries for each copy; a demonstration that fails all of them is copied no more.
@@ -52,6 +65,10 @@ impl Default for Augmentation {
             max_move_m: 0.15,
             max_pour_shift_m: 0.05,
             weight_noise: 0.004,
+            max_stretch: 0.15,
+            max_turn_change: 0.08,
+            max_lift_change: 0.2,
+            max_rise_m: 0.05,
             region_margin_m: 0.0,
             tries: 50,
         }
@@ -70,6 +87,12 @@ pub struct AugmentationReport {
 }
 
 impl Augmentation {
+    /// The paper's, which keeps the manner of each demonstration.
+    pub fn paper() -> Self {
+        let (max_stretch, max_turn_change, max_lift_change, max_rise_m) = (0.0, 0.0, 0.0, 0.0);
+        Self { max_stretch, max_turn_change, max_lift_change, max_rise_m, ..Self::default() }
+    }
+
     /// Adds copies to what is trained and validated on; what is tested on stays as it was
     /// recorded. `fits` may refuse a copy, for instance one that the arm can't make.
     pub fn augment<R: Rng + ?Sized>(
@@ -124,14 +147,21 @@ impl Augmentation {
         let Original { task, demonstration, broken, .. } = original;
         let symmetric = |limit: f64, rng: &mut R| limit * (2.0 * rng.random::<f64>() - 1.0);
         let turn = symmetric(self.max_turn_deg.to_radians(), rng);
-        let by =
-            Vector3::new(symmetric(self.max_move_m, rng), symmetric(self.max_move_m, rng), 0.0);
+        let by = Vector3::new(
+            symmetric(self.max_move_m, rng),
+            symmetric(self.max_move_m, rng),
+            symmetric(self.max_rise_m, rng),
+        );
         // Uniform over the disc.
         let angle = symmetric(std::f64::consts::PI, rng);
         let radius = self.max_pour_shift_m * rng.random::<f64>().sqrt();
         let shift = Vector3::new(radius * angle.cos(), radius * angle.sin(), 0.0);
 
         let motion = original.perturbed(self.weight_noise, rng);
+        let more = |limit: f64, rng: &mut R| 1.0 + symmetric(limit, rng);
+        let (turn_by, lift_by) = (more(self.max_turn_change, rng), more(self.max_lift_change, rng));
+        let stretch = [0; 3].map(|_| more(self.max_stretch, rng));
+        let motion = stretched(task, &scaled(task, &motion, turn_by, lift_by), &stretch)?;
         let motion = moved(task, &shifted(task, &motion, shift)?, turn, by);
         let copied = Demonstration {
             id: format!("{}+{number}", demonstration.id),
@@ -182,6 +212,37 @@ impl<'a> Original<'a> {
         let states = self.task.state_frame().trajectory(&changed.collect::<Vec<_>>());
         Motion { states, duration_secs: self.demonstration.motion.duration_secs }
     }
+}
+
+/// The motion with every turn from the grasp, and every height above it, times a factor.
+pub fn scaled(task: &PouringTask, motion: &Motion, turn_by: f64, lift_by: f64) -> Motion {
+    let frame = task.state_frame();
+    let poses = frame.poses(&motion.states);
+    let grasp = poses[0];
+    let scaled = |pose: &Isometry3<f64>| {
+        let mut position = pose.translation;
+        position.z = grasp.translation.z + lift_by * (position.z - grasp.translation.z);
+        let turn = (pose.rotation * grasp.rotation.inverse()).scaled_axis();
+        let turn = UnitQuaternion::from_scaled_axis(turn * turn_by);
+        Isometry3::from_parts(position, turn * grasp.rotation)
+    };
+    let poses: Vec<_> = poses.iter().map(scaled).collect();
+    Motion { states: frame.trajectory(&poses), duration_secs: motion.duration_secs }
+}
+
+/// The motion with the times between its events times factors, of which there is one more than
+/// events. None for a motion without a pour.
+pub fn stretched(task: &PouringTask, motion: &Motion, factors: &[f64]) -> Option<Motion> {
+    let events = task.events(motion);
+    if events.len() + 1 != factors.len() {
+        return None;
+    }
+    let before = segment_secs(motion, &events);
+    let after: Vec<f64> = before.iter().zip(factors).map(|(secs, by)| secs * by).collect();
+    let (steps, from, to) =
+        (motion.states.steps(), Alignment::of_events(&events), Alignment::new(&after));
+    let times = (0..steps).map(|i| from.time(to.phase(i as f64 / (steps - 1) as f64)));
+    Some(Motion { states: motion.states.at(times), duration_secs: after.iter().sum() })
 }
 
 /// The motion turned about the vertical through its grasp, then moved.
@@ -273,6 +334,40 @@ mod tests {
                 let off = (b.value - a.value - turned + 180.0).rem_euclid(360.0) - 180.0;
                 prop_assert!(off.abs() < 1e-9, "{:?} {:?}", a, b);
             }
+        }
+
+        #[test]
+        fn a_stretch_changes_the_times_alone(
+            before in 0.8..1.2f64, during in 0.8..1.2f64, after in 0.8..1.2f64,
+        ) {
+            let task = PouringTask::default();
+            let motion = rolled(&one_pour(90.0), 0.1);
+            let other = stretched(&task, &motion, &[before, during, after]).unwrap();
+            let [a, b] = [&motion, &other].map(|m| task.factors(m));
+            let by = [before, during, 1.0, f64::NAN, 1.0, 1.0, 1.0];
+            for ((a, b), by) in a.iter().zip(&b).zip(by) {
+                let limit = if a.unit == "s" { 0.05 } else { 0.01 + 0.005 * a.value.abs() };
+                prop_assert!(by.is_nan() || (b.value - by * a.value).abs() < limit, "{:?} {:?}", a, b);
+            }
+            let [a, b] = [&motion, &other].map(|m| task.empirical_task(m).unwrap());
+            for (a, b) in a.values().iter().zip(b.values()) {
+                prop_assert!((a - b).abs() < 2e-3, "{} {}", a, b);
+            }
+        }
+
+        #[test]
+        fn scaling_changes_tilt_and_lift_alone(turn_by in 0.9..1.1f64, lift_by in 0.8..1.2f64) {
+            let task = PouringTask::default();
+            let motion = rolled(&one_pour(90.0), 0.1);
+            let other = scaled(&task, &motion, turn_by, lift_by);
+            let of = |motion: &Motion, name: &str| {
+                task.factors(motion).into_iter().find(|f| f.name == name).unwrap().value
+            };
+            let near = |name: &str, by: f64| {
+                (of(&other, name) - by * of(&motion, name)).abs() < 1e-9
+            };
+            prop_assert!(near("maximum_tilt", turn_by) && near("lift", lift_by));
+            prop_assert!(near("duration", 1.0) && near("heading", 1.0));
         }
 
         #[test]

@@ -611,7 +611,13 @@ impl Task for PouringTask {
         let Some(first) = profile.pours.first() else { return Vec::new() };
         let step_secs = motion.step_secs();
         let lift = profile.mean_position_while_pouring().z - profile.poses[0].translation.z;
-        let factor = |name, unit, phrase, value| Factor { name, unit, phrase, value };
+        let factor = |name, unit, phrase, value| Factor {
+            name,
+            unit,
+            phrase,
+            value,
+            derived: name == "duration",
+        };
         vec![
             factor("pour_start", "s", "until the pour starts", first.start() * step_secs),
             factor("pour_duration", "s", "of pouring", profile.pour_steps() * step_secs),

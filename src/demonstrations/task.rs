@@ -46,6 +46,9 @@ pub struct Factor {
     pub phrase: &'static str,
     /// The value.
     pub value: f64,
+    /// Whether other factors determine most of it, as a pour's start and length do the time of the
+    /// whole motion.
+    pub derived: bool,
 }
 
 /// What a task measures of a motion. Nothing that models, trains or serves knows more of it.

@@ -69,7 +69,7 @@ fn component_r2<R: Rng + ?Sized>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::collections::BTreeMap;
     use std::f64::consts::TAU;
 
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     /// SplitMix64 from seed 0, as `tests/golden/evaluation.py` draws it.
-    fn uniform(index: u64) -> f64 {
+    pub(in crate::evaluation) fn uniform(index: u64) -> f64 {
         let mut z = (index + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

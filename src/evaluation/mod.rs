@@ -1,6 +1,7 @@
 //! How good a model is: SUCCESS (eq. 15), ROBUSTNESS (eq. 16), and beside them the measures
 //! without which neither means anything: active latents, reconstruction error, leak, validity.
 
+pub mod disentanglement;
 pub mod intervals;
 pub mod leak;
 pub mod manner;
@@ -19,8 +20,9 @@ use serde::{Deserialize, Serialize};
 use crate::demonstrations::{Demonstration, Splits, Task};
 use crate::model::{Posterior, Recognition};
 use crate::parameters::{MannerParameters, TaskParameters};
-use crate::primitive::{MannerConditioned, MovementPrimitive};
+use crate::primitive::{Generated, MannerConditioned, MovementPrimitive};
 use crate::trajectory::{Motion, Trajectory};
+use disentanglement::{Cases, Disentanglement, disentanglement};
 use intervals::Share;
 use leak::Encodings;
 
@@ -28,6 +30,8 @@ use leak::Encodings;
 pub const ACTIVE_KL_NATS: f64 = 0.1;
 /// Fewest encodings that the leak's probe is fitted on, and scored on.
 const PROBE_ENCODINGS: [usize; 2] = [5000, 1000];
+/// Fewest test cases that disentanglement is measured on.
+const DISENTANGLEMENT_CASES: usize = 200;
 
 /// A share of cases at one threshold, with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -65,6 +69,13 @@ pub struct Evaluation {
     /// Share of pairs whose manner, decoded at another case's task, achieves that task at the
     /// middle threshold.
     pub swap: f64,
+    /// How well the predicted deviations fit the reconstruction's errors.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<Calibration>,
+    /// Whether each manner parameter means one thing; none with fewer than 200 test cases, on which
+    /// it would be noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub disentanglement: Option<Disentanglement>,
     /// Number of test cases.
     pub cases: usize,
     /// Seed of every random draw of the evaluation.
@@ -73,6 +84,21 @@ pub struct Evaluation {
     pub model_id: String,
     /// SHA-256 over the data set.
     pub data_digest: String,
+}
+
+/// How well predicted deviations fit errors: those of the reconstructions from the posterior means,
+/// over all steps and state values.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Share of the errors within one predicted deviation; .683 where they are normal and the
+    /// prediction is right.
+    pub within_one: f64,
+    /// Share within 1.96 predicted deviations; .95 likewise.
+    pub within_two: f64,
+    /// Root mean square of the errors in predicted deviations; 1 likewise, above 1 where the model
+    /// is surer than it should be.
+    pub rms: f64,
 }
 
 /// How robust samples are under another prior.
@@ -188,8 +214,11 @@ where
 
     let mut reconstruction_errors = Vec::with_capacity(cases.len());
     let mut square_error = 0.0;
+    let mut standardised = Vec::new();
     for (case, h) in cases.iter().zip(&manners) {
-        let motion = decode(&case.w, h);
+        let generated = model.decode(&case.w, h);
+        standardised.extend(standardised_errors(&generated, &case.motion.states));
+        let motion = generated.motion(*duration_secs);
         square_error += mean_square_difference(&motion.states, &case.motion.states);
         reconstruction_errors.push(task_error(&case.w, &motion));
     }
@@ -260,6 +289,10 @@ where
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
         leak_r2: leak::leak_r2(&fit, &held_out, &mut rng),
         swap: share(&swap_errors, swap_threshold),
+        calibration: Some(calibration(&standardised)),
+        disentanglement: (cases.len() >= DISENTANGLEMENT_CASES)
+            .then(|| disentangled(model, recognition, task, splits, &mut stream(6)))
+            .flatten(),
         cases: cases.len(),
         seed: *seed,
         model_id: String::new(),
@@ -319,6 +352,59 @@ fn mean_square_difference(decoded: &Trajectory, demonstrated: &Trajectory) -> f6
     let demonstrated = demonstrated.resampled(decoded.steps());
     let pairs = decoded.values().iter().zip(demonstrated.values());
     pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() / decoded.values().len() as f64
+}
+
+/// Errors of every value in units of its predicted deviation, the demonstration resampled to the
+/// model's steps.
+fn standardised_errors(generated: &Generated, demonstrated: &Trajectory) -> Vec<f64> {
+    let Generated { mean, stddev, duration_secs: _ } = generated;
+    let demonstrated = demonstrated.resampled(mean.steps());
+    let errors = mean.values().iter().zip(demonstrated.values()).map(|(a, b)| a - b);
+    errors.zip(stddev.values()).map(|(error, deviation)| error / deviation).collect()
+}
+
+fn calibration(standardised: &[f64]) -> Calibration {
+    let n = standardised.len() as f64;
+    let within = |limit: f64| standardised.iter().filter(|e| e.abs() <= limit).count() as f64 / n;
+    Calibration {
+        within_one: within(1.0),
+        within_two: within(1.96),
+        rms: (standardised.iter().map(|e| e * e).sum::<f64>() / n).sqrt(),
+    }
+}
+
+/// Manner parameters of posterior means against the task's factors, forests fitted on the training
+/// part; none where a part shows no factors.
+fn disentangled<M, R>(
+    model: &M,
+    recognition: &R,
+    task: &dyn Task,
+    splits: &Splits,
+    rng: &mut ChaCha8Rng,
+) -> Option<Disentanglement>
+where
+    M: MannerConditioned + ?Sized,
+    R: Recognition + ?Sized,
+{
+    let mut names = Vec::new();
+    let mut measured = |part: &[Demonstration]| {
+        let (mut manners, mut factors) = (Vec::new(), Vec::new());
+        for (demonstration, posterior) in part.iter().zip(recognition.recognise(part)) {
+            let mut found = task.factors(&demonstration.motion);
+            found.retain(|factor| !factor.derived);
+            if !found.is_empty() {
+                names = found.iter().map(|factor| factor.name).collect();
+                manners.push(model.manner(&posterior.mean).values().to_vec());
+                factors.push(found.iter().map(|factor| factor.value).collect::<Vec<_>>());
+            }
+        }
+        (manners, factors)
+    };
+    let ((h, factors), (test_h, test_factors)) = (measured(&splits.train), measured(&splits.test));
+    (!h.is_empty() && !test_h.is_empty()).then(|| {
+        let fit = Cases { h: &h, factors: &factors };
+        disentanglement(&names, fit, Cases { h: &test_h, factors: &test_factors }, rng)
+    })
 }
 
 /// Which latents carry information: mean KL divergence of their posteriors from the standard
@@ -402,6 +488,11 @@ mod tests {
         assert!(evaluation.leak_r2 < 0.02, "{}", evaluation.leak_r2);
         assert_eq!(evaluation.swap, 1.0);
         assert_eq!(evaluation.cases, 200);
+        let Disentanglement { factors, disentanglement, informativeness, .. } =
+            evaluation.disentanglement.unwrap();
+        assert_eq!(factors, ["radius", "span", "start"]);
+        assert!(disentanglement > 0.95, "{disentanglement}");
+        assert!(informativeness.iter().all(|r2| *r2 > 0.97), "{informativeness:?}");
         // Wilson: 1 / (1 + z^2 / 200).
         assert!((evaluation.robustness[0].low - 0.981_154).abs() < 1e-5);
     }

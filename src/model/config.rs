@@ -58,6 +58,10 @@ pub struct NetworkConfig {
     /// Our variant: the recognition network sees the phase and w beside each state, so that it can
     /// tell when something happens and what of it follows from the task. Not in the paper.
     pub recognition_sees_context: bool,
+    /// Parts of equal length that the recognition network averages over. The paper's is 1, the mean
+    /// over the whole motion; our variant's MLPs see the mean of each part, and so when something
+    /// happens.
+    pub recognition_parts: usize,
 }
 
 impl NetworkConfig {
@@ -85,6 +89,7 @@ impl Default for NetworkConfig {
             bounded_variances: true,
             prior_components: 0,
             recognition_sees_context: false,
+            recognition_parts: 1,
         }
     }
 }
@@ -144,6 +149,7 @@ impl ModelConfig {
             ("latents", latents, 1, 1000),
             ("width", width, 1, 10_000),
             ("prior_components", self.network.prior_components, 0, 1000),
+            ("recognition_parts", self.network.recognition_parts, 1, self.steps),
         ] {
             if !(lower..=upper).contains(&value) {
                 return Err(ConfigError { name, value, lower, upper });

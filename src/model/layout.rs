@@ -90,7 +90,12 @@ impl Layout {
             layout.dense(&format!("recognition.layers.{i}"), TAPS * channels, n.width);
         }
         for head in ["mean", "log_variance"] {
-            layout.mlp(&format!("recognition.{head}"), n.width, n.width, n.latents);
+            layout.mlp(
+                &format!("recognition.{head}"),
+                n.recognition_parts * n.width,
+                n.width,
+                n.latents,
+            );
         }
         layout.extend(Self::of_decoder(config));
         layout

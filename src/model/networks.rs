@@ -150,8 +150,14 @@ impl Networks {
         }
         let [rows, width] = x.dims();
         let steps = self.config.steps;
-        let pooled = x.reshape([steps, rows / steps * width]).mean_dim(0);
-        let pooled = pooled.reshape([rows / steps, width]);
+        let (batch, parts) = (rows / steps, network.recognition_parts);
+        let x = x.reshape([steps, batch * width]);
+        let mean = |part: usize| {
+            let of_part = part * steps / parts..(part + 1) * steps / parts;
+            let part = x.clone().slice([of_part, 0..batch * width]);
+            part.mean_dim(0).reshape([batch, width])
+        };
+        let pooled = Tensor::cat((0..parts).map(mean).collect(), 1);
         let mean = parameters.mlp("recognition.mean", network.activation, pooled.clone());
         let log_variance = parameters.mlp("recognition.log_variance", network.activation, pooled);
         let (lower, upper) = POSTERIOR_LOG_VARIANCE;

@@ -45,8 +45,8 @@ pub struct Terms {
     pub kl: Vec<f64>,
     /// L1 distance of the adversary's guess from w, in normalised units.
     pub adversary: f64,
-    /// Squared distance of the posterior means from their anchors; 0 without.
-    pub anchors: f64,
+    /// Squared distance of each anchored latent's posterior means from its anchors.
+    pub anchors: Vec<f64>,
 }
 
 impl Terms {
@@ -55,9 +55,10 @@ impl Terms {
         self.sequences += other.sequences;
         self.negative_log_likelihood += other.negative_log_likelihood;
         self.adversary += other.adversary;
-        self.anchors += other.anchors;
-        self.kl.resize(self.kl.len().max(other.kl.len()), 0.0);
-        self.kl.iter_mut().zip(&other.kl).for_each(|(a, b)| *a += b);
+        for (sums, more) in [(&mut self.kl, &other.kl), (&mut self.anchors, &other.anchors)] {
+            sums.resize(sums.len().max(more.len()), 0.0);
+            sums.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+        }
     }
 }
 
@@ -95,7 +96,8 @@ impl Objective {
 
     /// Terms and gradients of both players on a part of a batch of `batch_size` sequences: the
     /// model minimises `(NLL + beta KL - alpha L1 + gamma A / 2) / (T D)`, the adversary `L1`, each
-    /// meant over the batch; `A` is the squared distance from the anchors. The parts' gradients add up to those of the batch.
+    /// meant over the batch; `A` is the squared distance from the anchors. The parts' gradients add up
+    /// to those of the batch.
     ///
     /// The division by `T D` is for the optimiser's sake only. The adversary sees the posterior
     /// means; its own step does not reach the recognition network.
@@ -116,7 +118,10 @@ impl Objective {
         let objective = players.negative_log_likelihood.clone()
             + players.kl.clone().sum().mul_scalar(strengths.beta)
             - players.adversary.clone().mul_scalar(strengths.alpha)
-            + players.anchors.clone().mul_scalar(0.5 * strengths.gamma);
+            + match &players.anchors {
+                Some(anchors) => anchors.clone().sum().mul_scalar(0.5 * strengths.gamma),
+                None => Tensor::zeros([1], &self.device),
+            };
         let scale = 1.0 / (batch_size * steps * state_dim) as f32;
         let mut gradients = objective.mul_scalar(scale).backward();
         let model = model.gradients(&mut gradients);
@@ -165,15 +170,14 @@ impl Objective {
         }
     }
 
-    /// The squared distance from the anchors over a part.
-    fn anchored(&self, means: Tensor<2>, part: &Batch) -> Tensor<1> {
+    /// The squared distance from each anchor over a part, `[1, anchors]`; none without anchors.
+    fn anchored(&self, means: Tensor<2>, part: &Batch) -> Option<Tensor<2>> {
         let n = part.sequences;
         let count = part.anchors.len() / n;
-        if count == 0 {
-            return Tensor::zeros([1], &self.device);
-        }
-        let anchors = tensor(part.anchors.clone(), [n, count], &self.device);
-        (means.slice([0..n, 0..count]) - anchors).square().sum()
+        (count > 0).then(|| {
+            let anchors = tensor(part.anchors.clone(), [n, count], &self.device);
+            (means.slice([0..n, 0..count]) - anchors).square().sum_dim(0)
+        })
     }
 
     /// `sum |f_W(h) - w|` over a part.
@@ -190,7 +194,7 @@ struct Players {
     /// One column for each latent.
     kl: Tensor<2>,
     adversary: Tensor<1>,
-    anchors: Tensor<1>,
+    anchors: Option<Tensor<2>>,
     /// The posterior means.
     means: Tensor<2>,
 }
@@ -198,12 +202,13 @@ struct Players {
 impl Players {
     fn terms(&self, sequences: usize) -> Terms {
         let scalar = |x: &Tensor<1>| f64::from(values(x.clone().inner())[0]);
+        let row = |x: &Tensor<2>| values(x.clone().inner()).into_iter().map(f64::from).collect();
         Terms {
             sequences,
             negative_log_likelihood: scalar(&self.negative_log_likelihood),
-            kl: values(self.kl.clone().inner()).into_iter().map(f64::from).collect(),
+            kl: row(&self.kl),
             adversary: scalar(&self.adversary),
-            anchors: scalar(&self.anchors),
+            anchors: self.anchors.as_ref().map(row).unwrap_or_default(),
         }
     }
 }

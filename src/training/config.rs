@@ -148,6 +148,7 @@ impl TrainingConfig {
                 margins: true,
                 segments: 3,
                 recognition_sees_context: true,
+                recognition_parts: 8,
                 ..NetworkConfig::default()
             },
             manner: MannerConfig {

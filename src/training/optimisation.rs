@@ -360,8 +360,8 @@ pub fn train(
     let train = sequences(&data.train);
     let units = Units::fit(&model, &train);
     let train = Normalised::new(&model, &units, &train, anchors);
-    let none = vec![Vec::new(); data.validation.len()];
-    let held_out = Normalised::new(&model, &units, &sequences(&data.validation), none);
+    let anchors = anchors::scores(&config.manner.anchors, task, &data.validation)?;
+    let held_out = Normalised::new(&model, &units, &sequences(&data.validation), anchors);
 
     let layouts = layouts(config, &model);
     let objective = Objective::new(&model, config.adversary.width, config.backend);
@@ -539,7 +539,7 @@ fn mean(sums: &Terms) -> MeanTerms {
         negative_log_likelihood: sums.negative_log_likelihood / n,
         kl: sums.kl.iter().map(|kl| kl / n).collect(),
         adversary: sums.adversary / n,
-        anchors: sums.anchors / n,
+        anchors: sums.anchors.iter().map(|squared| squared / n).collect(),
     }
 }
 
@@ -615,6 +615,7 @@ mod tests {
                 unit: "m",
                 phrase: "aside",
                 value: middle - 0.5 * (a + b),
+                derived: false,
             }]
         }
     }
@@ -728,7 +729,7 @@ mod tests {
         let config =
             TrainingConfig { epochs: 100, learning_rate: 5e-3, network, manner, ..config() };
         let (trained, checkpoints) = run(&config, None);
-        let anchors = |i: usize| checkpoints[i].report.as_ref().unwrap().train.anchors;
+        let anchors = |i: usize| checkpoints[i].report.as_ref().unwrap().train.anchors[0];
         assert!(anchors(99) < 0.1 * anchors(0), "{} -> {}", anchors(0), anchors(99));
         let recogniser =
             Recogniser::new(&trained.model, &trained.normalizer, &trained.weights, config.backend)

@@ -12,10 +12,10 @@ pub struct MeanTerms {
     pub kl: Vec<f64>,
     /// L1 distance of the adversary's guess from w, in normalised units.
     pub adversary: f64,
-    /// Squared distance of the posterior means from their anchors; 0 without, and where none are
-    /// measured.
+    /// Mean square distance of each anchored latent's posterior means from its factor's scores, whose
+    /// variance is 1.
     #[serde(default)]
-    pub anchors: f64,
+    pub anchors: Vec<f64>,
 }
 
 impl MeanTerms {

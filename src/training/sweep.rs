@@ -373,6 +373,8 @@ mod tests {
                 reconstruction_rmse: 0.1,
                 leak_r2: leak,
                 swap: 1.0,
+                calibration: None,
+                disentanglement: None,
                 cases: 10,
                 seed: 0,
                 model_id: String::new(),

@@ -1,5 +1,5 @@
-"""Golden numbers for the evaluation: Wilson's interval from statsmodels, and held-out R2 of random
-forests on planted leaks from scikit-learn.
+"""Golden numbers for the evaluation: Wilson's interval from statsmodels; held-out R2 of random forests
+on planted leaks, and DCI and MIG of planted factors, from scikit-learn.
 
     pip install scikit-learn==1.9.1 statsmodels numpy && python evaluation.py > evaluation.json
 """
@@ -9,7 +9,8 @@ import math
 
 import numpy as np
 from sklearn.ensemble import RandomForestRegressor
-from sklearn.metrics import r2_score
+from sklearn.inspection import permutation_importance
+from sklearn.metrics import mutual_info_score, r2_score
 from statsmodels.stats.proportion import proportion_confint
 
 MASK = (1 << 64) - 1
@@ -53,6 +54,60 @@ def forest(leak):
     return scores
 
 
+def manner_and_factors(kind, i):
+    """Manner (4 values) and factors (3 values) of case i."""
+    u = [uniform(8 * i + k) for k in range(8)]
+    v = u[0:3]
+    noise = [0.1 * (u[k] - 0.5) for k in range(3, 6)]
+    if kind == "separate":
+        h = [v[1] + noise[0], -v[0] + noise[1], v[2] ** 2, u[6]]
+    elif kind == "mixed":
+        h = [0.8 * v[0] - 0.6 * v[1], 0.6 * v[0] + 0.8 * v[1] + noise[0], v[2], u[6]]
+    elif kind == "shared":
+        h = [v[0] + v[1] + v[2], u[5], u[6], u[7]]
+    return h, v
+
+
+def concentration(shares):
+    """One minus the entropy of the shares in units of the largest possible."""
+    total = shares.sum()
+    if total <= 0:
+        return 0.0
+    p = shares[shares > 0] / total
+    return float(1 + (p * np.log(p)).sum() / np.log(len(shares)))
+
+
+def bins(values, count=10):
+    """Bins of equally many values."""
+    ordered = np.sort(values)
+    edges = [ordered[i * len(values) // count] for i in range(1, count)]
+    return np.searchsorted(edges, values, side="right")
+
+
+def disentanglement(kind):
+    rows = [manner_and_factors(kind, i) for i in range(3000)]
+    h = np.array([r[0] for r in rows])
+    v = np.array([r[1] for r in rows])
+    importance, informativeness, gaps = [], [], []
+    for j in range(3):
+        model = RandomForestRegressor(50, min_samples_leaf=5, random_state=0).fit(h[:2000], v[:2000, j])
+        informativeness.append(max(0.0, float(r2_score(v[2000:, j], model.predict(h[2000:])))))
+        lost = permutation_importance(model, h[2000:], v[2000:, j], n_repeats=5, random_state=0)
+        shares = np.maximum(lost.importances_mean, 0)
+        importance.append(shares / shares.sum())
+        factor = bins(v[2000:, j])
+        told = sorted((mutual_info_score(bins(h[2000:, i]), factor) for i in range(4)), reverse=True)
+        gaps.append((told[0] - told[1]) / mutual_info_score(factor, factor))
+    importance = np.array(importance).T
+    weights = importance.sum(axis=1)
+    return {
+        "informativeness": informativeness,
+        "disentanglement": float(sum(w * concentration(row) for w, row in zip(weights, importance)) / weights.sum()),
+        "completeness": float(np.mean([concentration(column) for column in importance.T])),
+        "mig": float(np.mean(gaps)),
+    }
+
+
 print(
     json.dumps(
         {
@@ -61,6 +116,7 @@ print(
                 for hits, cases in [(8, 10), (0, 20), (950, 1000), (1000, 1000), (41, 42)]
             ],
             "leak_r2": {leak: forest(leak) for leak in ["none", "linear", "folded", "product"]},
+            "disentanglement": {kind: disentanglement(kind) for kind in ["separate", "mixed", "shared"]},
         },
         indent=1,
     )

@@ -10,8 +10,9 @@ use rand::rngs::ChaCha8Rng;
 
 use tcvae::artifact::{Artifact, ModelDocument};
 use tcvae::demonstrations::Splits;
+use tcvae::evaluation::disentanglement::Disentanglement;
 use tcvae::evaluation::manner::{described, manner_effects};
-use tcvae::evaluation::{self, Evaluation, EvaluationOptions, PriorScores, Score};
+use tcvae::evaluation::{self, Calibration, Evaluation, EvaluationOptions, PriorScores, Score};
 use tcvae::model::{Backend, Recogniser};
 
 use super::sources::Recordings;
@@ -105,6 +106,8 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         reconstruction_rmse,
         leak_r2,
         swap,
+        calibration,
+        disentanglement,
         cases,
         seed,
         model_id,
@@ -140,6 +143,23 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         format!("{:<22}{leak_r2:.3}", "leak of the task, R2"),
         format!("{:<22}{swap:.3}", "swap, middle distance"),
     ]);
+    if let Some(Calibration { within_one, within_two, rms }) = calibration {
+        lines.push(format!(
+            "{:<22}{within_one:.3} within 1 deviation (normal: 0.683), {within_two:.3} within 1.96 \
+             (0.950), rms {rms:.2} (1)",
+            "calibration"
+        ));
+    }
+    if let Some(measured) = disentanglement {
+        let Disentanglement { disentanglement, completeness, mig, informativeness, .. } = measured;
+        lines.push(format!(
+            "{:<22}{disentanglement:.3}, completeness {completeness:.3}, MIG {mig:.3}",
+            "disentanglement (DCI)"
+        ));
+        let told = measured.factors.iter().zip(informativeness);
+        let told: Vec<_> = told.map(|(factor, r2)| format!("{factor} {r2:.2}")).collect();
+        lines.push(format!("{:<22}{}", "R2 of factors from h", told.join(", ")));
+    }
     lines.iter().map(|line| line.trim_end()).collect::<Vec<_>>().join("\n")
 }
 
@@ -161,6 +181,8 @@ mod tests {
             reconstruction_rmse: 0.01234,
             leak_r2: 0.05,
             swap: 0.65,
+            calibration: None,
+            disentanglement: None,
             cases: 42,
             seed: 7,
             model_id: "0123456789ab".into(),
@@ -180,6 +202,26 @@ active latents        2 of 4
 reconstruction rmse   0.0123
 leak of the task, R2  0.050
 swap, middle distance 0.650"
+        );
+        evaluation.calibration = Some(Calibration { within_one: 0.7, within_two: 0.96, rms: 0.9 });
+        evaluation.disentanglement = Some(Disentanglement {
+            factors: vec!["radius".into(), "span".into()],
+            informativeness: vec![0.99, 0.9],
+            importance: vec![vec![1.0, 0.0]],
+            disentanglement: 0.8,
+            completeness: 0.75,
+            mig: 0.4,
+        });
+        let with_all = table(&evaluation, 4, "m");
+        let lines: Vec<_> = with_all.lines().skip(11).collect();
+        assert_eq!(
+            lines,
+            [
+                "calibration           0.700 within 1 deviation (normal: 0.683), 0.960 within 1.96 \
+                 (0.950), rms 0.90 (1)",
+                "disentanglement (DCI) 0.800, completeness 0.750, MIG 0.400",
+                "R2 of factors from h  radius 0.99, span 0.90",
+            ]
         );
         evaluation.with_standard_normal_prior =
             Some(PriorScores { robustness: scores(0.6), robust_and_valid: scores(0.5) });

@@ -519,13 +519,13 @@ impl<'a> Log<'a> {
 
 /// An epoch as a person reads it.
 fn epoch_line(report: &EpochReport, epochs: usize, seconds: f64) -> String {
-    let EpochReport { epoch, validation, train, robust_and_valid, .. } = report;
-    // Anchors are measured where they are trained on.
-    let MeanTerms { negative_log_likelihood, kl, adversary, anchors: _ } = validation;
-    let kl: Vec<_> = kl.iter().map(|kl| format!("{kl:.2}")).collect();
-    let anchors = match train.anchors {
-        0.0 => String::new(),
-        squared => format!(", {squared:.2} from anchors"),
+    let EpochReport { epoch, validation, robust_and_valid, .. } = report;
+    let MeanTerms { negative_log_likelihood, kl, adversary, anchors } = validation;
+    let listed =
+        |values: &[f64]| values.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(" ");
+    let anchors = match anchors.as_slice() {
+        [] => String::new(),
+        squared => format!(", from anchors {}", listed(squared)),
     };
     let selected = match robust_and_valid {
         Some(share) => format!(", robust and valid {share:.3}"),
@@ -534,7 +534,7 @@ fn epoch_line(report: &EpochReport, epochs: usize, seconds: f64) -> String {
     format!(
         "epoch {epoch}/{epochs}: validation nll {negative_log_likelihood:.1}, kl {}, adversary \
          {adversary:.2}{anchors}{selected}; {seconds:.1} s",
-        kl.join(" ")
+        listed(kl)
     )
 }
 
