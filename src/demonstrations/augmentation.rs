@@ -344,7 +344,7 @@ mod tests {
             let motion = rolled(&one_pour(90.0), 0.1);
             let other = stretched(&task, &motion, &[before, during, after]).unwrap();
             let [a, b] = [&motion, &other].map(|m| task.factors(m));
-            let by = [before, during, 1.0, f64::NAN, 1.0, 1.0, 1.0];
+            let by = [before, during, 1.0, f64::NAN, 1.0, 1.0, 1.0, 1.0];
             for ((a, b), by) in a.iter().zip(&b).zip(by) {
                 let limit = if a.unit == "s" { 0.05 } else { 0.01 + 0.005 * a.value.abs() };
                 prop_assert!(by.is_nan() || (b.value - by * a.value).abs() < limit, "{:?} {:?}", a, b);

@@ -626,6 +626,7 @@ impl Task for PouringTask {
             factor("lift", "m", "above the grasp while pouring", lift),
             factor("style", "degrees", "from roll (0) to pitch (90)", profile.style_deg()),
             factor("heading", "degrees", "of the hand's heading", profile.heading_deg()),
+            factor("grasp_height", "m", "of the grasp's height", profile.poses[0].translation.z),
         ]
     }
 }
@@ -739,7 +740,7 @@ pub(super) mod tests {
     fn factors_are_read_at_the_crossings() {
         let factors = PouringTask::default().factors(&rolled(&one_pour(80.0), 0.1));
         let values: Vec<_> = factors.iter().map(|f| f.value).collect();
-        assert_eq!(values.len(), 7);
+        assert_eq!(values.len(), 8);
         for (value, expected) in values.iter().zip([3.75, 2.5, 80.0, 9.9, 0.15]) {
             assert!((value - expected).abs() < 1e-9, "{factors:?}");
         }
@@ -878,6 +879,14 @@ pub(super) mod tests {
         let config: crate::demonstrations::TaskConfig = toml::from_str(text).unwrap();
         assert_eq!(config, crate::demonstrations::TaskConfig::Pouring(PouringTask::default()));
         assert!(toml::from_str::<PouringTask>("pour_tilt = 70").is_err());
+    }
+
+    #[test]
+    fn the_papers_file_differs_in_its_copies_alone() {
+        let text = include_str!("../../config/tasks/pour-paper.toml");
+        let config: crate::demonstrations::TaskConfig = toml::from_str(text).unwrap();
+        let paper = PouringTask { augmentation: Augmentation::paper(), ..PouringTask::default() };
+        assert_eq!(config, crate::demonstrations::TaskConfig::Pouring(paper));
     }
 
     proptest! {

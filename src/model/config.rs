@@ -49,12 +49,19 @@ pub struct NetworkConfig {
     pub segments: usize,
     /// Whether the decoder sees w; without, and with 10 latents, it is the paper's VAE.
     pub task_conditioned: bool,
-    /// Whether log-variances are bounded, the decoder's softly to [-12, 4] and the recognition
-    /// network's to [-10, 4]. Not in the paper.
+    /// Whether log-variances are bounded, the decoder's softly to [`Self::least_log_variance`, 4] and
+    /// the recognition network's to [-10, 4]. Not in the paper.
     pub bounded_variances: bool,
+    /// Where the decoder's log-variance is bounded below, in normalised units. Values that follow
+    /// from the task almost exactly would else rule the loss, by ever smaller variances.
+    pub least_log_variance: f64,
     /// Our variant: components of a mixture that is fitted to the latents of the training set in
     /// place of the paper's N(0, I), see [`super::LearnedPrior`]; 0 keeps N(0, I).
     pub prior_components: usize,
+    /// Functions of the phase that the networks see. 1 is the paper's, the phase itself; more are our
+    /// variant's, bells at equal distances as a ProMP has them, with which what happens at one time
+    /// is learned apart from the rest. They cost nothing at serving time.
+    pub phase_functions: usize,
     /// Our variant: the recognition network sees the phase and w beside each state, so that it can
     /// tell when something happens and what of it follows from the task. Not in the paper.
     pub recognition_sees_context: bool,
@@ -65,6 +72,12 @@ pub struct NetworkConfig {
 }
 
 impl NetworkConfig {
+    /// Centre and half of the range that the decoder's log-variance is softly bounded to.
+    pub(crate) fn log_variance_range(&self) -> (f32, f32) {
+        let [low, high] = [self.least_log_variance, MOST_LOG_VARIANCE];
+        ((0.5 * (low + high)) as f32, (0.5 * (high - low)) as f32)
+    }
+
     /// Steps of the margin at either end, the sum of the dilations; 0 without margins.
     pub(crate) fn margin(&self) -> usize {
         match self.margins {
@@ -87,7 +100,9 @@ impl Default for NetworkConfig {
             segments: 0,
             task_conditioned: true,
             bounded_variances: true,
+            least_log_variance: -12.0,
             prior_components: 0,
+            phase_functions: 1,
             recognition_sees_context: false,
             recognition_parts: 1,
         }
@@ -115,10 +130,13 @@ const MAX_LAYERS: usize = 12;
 /// Taps of a convolution: the step `dilation` before, the step itself, the step `dilation` after.
 pub(crate) const TAPS: usize = 3;
 
-/// The decoder's log-variance is bounded softly to `CENTRE ± HALF_RANGE`: `[-12, 4]`.
-pub(crate) const LOG_VARIANCE_CENTRE: f32 = -4.0;
-/// See [`LOG_VARIANCE_CENTRE`].
-pub(crate) const LOG_VARIANCE_HALF_RANGE: f32 = 8.0;
+/// Height of the bells over the phase. Start values suit inputs of deviation 1, and of these few are
+/// not 0 at a time.
+const PHASE_BELL: f32 = 3.0;
+/// Upper bound of the decoder's log-variance.
+const MOST_LOG_VARIANCE: f64 = 4.0;
+/// The decoder's log-variance may not be bounded further below; its exponential stays an f32.
+const LEAST_LOG_VARIANCE: f64 = -40.0;
 
 /// Why a configuration is not one.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -127,11 +145,11 @@ pub struct ConfigError {
     /// The key.
     pub name: &'static str,
     /// Its value.
-    pub value: usize,
+    pub value: f64,
     /// Smallest possible value.
-    pub lower: usize,
+    pub lower: f64,
     /// Largest possible value.
-    pub upper: usize,
+    pub upper: f64,
 }
 
 impl ModelConfig {
@@ -141,6 +159,11 @@ impl ModelConfig {
     /// A size that no model has; the bounds also keep a foreign file from asking for the moon.
     pub fn check(&self) -> Result<(), ConfigError> {
         let NetworkConfig { latents, width, layers, .. } = self.network;
+        let least = self.network.least_log_variance;
+        if !(LEAST_LOG_VARIANCE..=0.0).contains(&least) {
+            let (name, lower, upper) = ("least_log_variance", LEAST_LOG_VARIANCE, 0.0);
+            return Err(ConfigError { name, value: least, lower, upper });
+        }
         for (name, value, lower, upper) in [
             ("layers", layers, 1, MAX_LAYERS),
             ("steps", self.steps, 2 + 2 * self.margin(), 20_000),
@@ -149,9 +172,11 @@ impl ModelConfig {
             ("latents", latents, 1, 1000),
             ("width", width, 1, 10_000),
             ("prior_components", self.network.prior_components, 0, 1000),
+            ("phase_functions", self.network.phase_functions, 1, 1000),
             ("recognition_parts", self.network.recognition_parts, 1, self.steps),
         ] {
             if !(lower..=upper).contains(&value) {
+                let [value, lower, upper] = [value, lower, upper].map(|v| v as f64);
                 return Err(ConfigError { name, value, lower, upper });
             }
         }
@@ -199,9 +224,19 @@ impl ModelConfig {
         1 << layer
     }
 
-    /// The phase of each step, `tau_t = t / T` with `t = 1 … T`.
+    /// What the networks see of the phase `tau_t = t / T`, `t = 1 … T`, at each step: the phase
+    /// itself, or bells over it, `[steps, phase_functions]`.
     pub(crate) fn phase(&self) -> Vec<f32> {
-        (1..=self.steps).map(|t| t as f32 / self.steps as f32).collect()
+        let count = self.network.phase_functions;
+        let phases = (1..=self.steps).map(|t| t as f32 / self.steps as f32);
+        if count == 1 {
+            return phases.collect();
+        }
+        let bell = |tau: f32, i: usize| {
+            let z = tau * (count - 1) as f32 - i as f32;
+            PHASE_BELL * (-0.5 * z * z).exp()
+        };
+        phases.flat_map(|tau| (0..count).map(move |i| bell(tau, i))).collect()
     }
 
     /// Values that are constant along a sequence and enter the decoder's first convolution: the

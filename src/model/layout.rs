@@ -85,7 +85,8 @@ impl Layout {
         let n = &config.network;
         let mut layout = Self::default();
         for i in 0..n.layers {
-            let context = if n.recognition_sees_context { 1 + config.task_dim } else { 0 };
+            let context =
+                if n.recognition_sees_context { n.phase_functions + config.task_dim } else { 0 };
             let channels = if i == 0 { config.state_dim + context } else { n.width };
             layout.dense(&format!("recognition.layers.{i}"), TAPS * channels, n.width);
         }
@@ -108,8 +109,11 @@ impl Layout {
         layout.mlp("decoder.manner", n.latents, n.width, n.width);
         layout.mlp("decoder.task", config.task_dim, n.width, n.width);
         for i in 0..n.layers {
-            let (channels, constants) =
-                if i == 0 { (1, config.first_constants()) } else { (n.width, n.latents) };
+            let (channels, constants) = if i == 0 {
+                (n.phase_functions, config.first_constants())
+            } else {
+                (n.width, n.latents)
+            };
             let name = format!("decoder.layers.{i}");
             let fan_in = TAPS * (channels + constants);
             layout.tensor(&name, "weight", &[TAPS * channels, n.width], fan_in);

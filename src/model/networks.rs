@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData, activation};
 
-use super::config::{Activation, LOG_VARIANCE_CENTRE, LOG_VARIANCE_HALF_RANGE, ModelConfig, TAPS};
+use super::config::{Activation, ModelConfig, TAPS};
 use super::layout::Layout;
 
 /// Bounds of the recognition network's log-variance.
@@ -104,7 +104,7 @@ pub(crate) struct DecodedTensors {
 pub(crate) struct Networks {
     pub(crate) config: ModelConfig,
     device: Device,
-    /// The phase through each tap of the first convolution, `[steps, taps]`.
+    /// The phase's functions through each tap of the first convolution, `[steps, taps * functions]`.
     phase: Tensor<2>,
     /// For each layer, whether each tap lies inside the sequence (1) or not (0), `[steps, taps]`.
     inside: Vec<Tensor<2>>,
@@ -113,15 +113,22 @@ pub(crate) struct Networks {
 impl Networks {
     pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
         let steps = config.steps;
-        let taps = |dilation: usize, value: &dyn Fn(usize) -> f32| {
-            let at = |t: Option<usize>| t.filter(|t| *t < steps).map_or(0.0, value);
-            let row = |t: usize| [at(t.checked_sub(dilation)), at(Some(t)), at(Some(t + dilation))];
-            tensor((0..steps).flat_map(row).collect(), [steps, TAPS], device)
+        // Rows of `values` as each tap sees them, zeros beyond the ends.
+        let taps = |dilation: usize, values: &[f32]| {
+            let count = values.len() / steps;
+            let at = |t: Option<usize>| match t.filter(|t| *t < steps) {
+                Some(t) => values[t * count..(t + 1) * count].to_vec(),
+                None => vec![0.0; count],
+            };
+            let row = |t: usize| {
+                [at(t.checked_sub(dilation)), at(Some(t)), at(Some(t + dilation))].concat()
+            };
+            tensor((0..steps).flat_map(row).collect(), [steps, TAPS * count], device)
         };
-        let phase = config.phase();
-        let inside = (0..config.network.layers).map(|i| taps(ModelConfig::dilation(i), &|_| 1.0));
+        let ones = vec![1.0; steps];
+        let inside = (0..config.network.layers).map(|i| taps(ModelConfig::dilation(i), &ones));
         Self {
-            phase: taps(ModelConfig::dilation(0), &|t| phase[t]),
+            phase: taps(ModelConfig::dilation(0), &config.phase()),
             inside: inside.collect(),
             config: config.clone(),
             device: device.clone(),
@@ -140,8 +147,9 @@ impl Networks {
         let mut x = x;
         if network.recognition_sees_context {
             let ([steps, batch], phase) = ([self.config.steps, w.dims()[0]], self.config.phase());
-            let phase = phase.into_iter().flat_map(|p| std::iter::repeat_n(p, batch)).collect();
-            let phase = tensor(phase, [steps * batch, 1], &self.device);
+            let functions = network.phase_functions;
+            let rows = phase.chunks_exact(functions).flat_map(|row| row.repeat(batch));
+            let phase = tensor(rows.collect(), [steps * batch, functions], &self.device);
             x = Tensor::cat(vec![x, phase, w.clone().repeat_dim(0, steps)], 1);
         }
         for i in 0..network.layers {
@@ -196,8 +204,8 @@ impl Networks {
         let mean = parameters.mlp("decoder.mean", network.activation, x.clone());
         let raw = parameters.mlp("decoder.log_variance", network.activation, x);
         let bounded = |raw: Tensor<2>| {
-            let share = raw.div_scalar(LOG_VARIANCE_HALF_RANGE).tanh();
-            share.mul_scalar(LOG_VARIANCE_HALF_RANGE).add_scalar(LOG_VARIANCE_CENTRE)
+            let (centre, half_range) = network.log_variance_range();
+            raw.div_scalar(half_range).tanh().mul_scalar(half_range).add_scalar(centre)
         };
         let log_variance = if network.bounded_variances { bounded(raw) } else { raw };
         DecodedTensors { mean, log_variance }

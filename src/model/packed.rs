@@ -7,7 +7,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::config::{LOG_VARIANCE_CENTRE, LOG_VARIANCE_HALF_RANGE, ModelConfig, TAPS};
+use super::config::{ModelConfig, TAPS};
 use super::kernel::{EDGE_KINDS, Edges, Layer, PackedWeights, add_and_activate, dispatch, padded};
 use super::layout::{Layout, WeightsError};
 use super::{NamedTensor, Weights};
@@ -291,7 +291,9 @@ impl WithSimd for Decode<'_> {
             let raw = &head[*state_dim..2 * *state_dim];
             log_variance[place.clone()].copy_from_slice(raw);
             if network.bounded_variances {
-                log_variance[place].iter_mut().for_each(|v| *v = bound_log_variance(*v));
+                let (centre, half_range) = network.log_variance_range();
+                let bound = |v: &mut f32| *v = centre + half_range * (*v / half_range).tanh();
+                log_variance[place].iter_mut().for_each(bound);
             }
         }
     }
@@ -312,11 +314,6 @@ fn start_rows(products: &[f32], width: usize, starts: &mut [f32]) {
             }
         }
     }
-}
-
-/// The decoder's log-variance from the network's raw output.
-fn bound_log_variance(raw: f32) -> f32 {
-    LOG_VARIANCE_CENTRE + LOG_VARIANCE_HALF_RANGE * (raw / LOG_VARIANCE_HALF_RANGE).tanh()
 }
 
 /// A row with zeros behind it up to whole panels.
@@ -352,14 +349,16 @@ fn pack_constant(
 }
 
 /// What the phase adds to the first convolution at each step, `[steps, padded width]`; `weight`
-/// has one row for each tap.
+/// has one row for each of the phase's functions in each tap.
 fn phase_rows(config: &ModelConfig, weight: &NamedTensor) -> Vec<f32> {
-    let phase = config.phase();
+    let (phase, functions) = (config.phase(), config.network.phase_functions);
     let dilation = ModelConfig::dilation(0);
-    let at = |t: Option<usize>| t.and_then(|t| phase.get(t)).copied().unwrap_or(0.0);
+    let zeros = vec![0.0; functions];
+    let at =
+        |t: Option<usize>| t.and_then(|t| phase.chunks_exact(functions).nth(t)).unwrap_or(&zeros);
     let mut rows = Vec::new();
     for t in 0..config.steps {
-        let taps = [at(t.checked_sub(dilation)), at(Some(t)), at(Some(t + dilation))];
+        let taps = [at(t.checked_sub(dilation)), at(Some(t)), at(Some(t + dilation))].concat();
         let mut row = vec![0.0; config.network.width];
         for (tap, weight) in taps.iter().zip(weight.values.chunks_exact(row.len())) {
             row.iter_mut().zip(weight).for_each(|(row, weight)| *row += tap * weight);
@@ -439,11 +438,16 @@ mod tests {
     fn the_packed_decoder_computes_what_burn_does() {
         use super::super::networks::{Networks, Parameters, tensor, values};
 
-        for (activation, residual) in [(Activation::Gelu, true), (Activation::Relu, false)] {
+        for (activation, residual, phase_functions, bounded) in
+            [(Activation::Gelu, true, 1, true), (Activation::Relu, false, 5, false)]
+        {
             // Odd sizes: neither panels nor row blocks come out even, and the last dilation is
             // longer than half the sequence.
             let mut config = small(activation, residual);
             (config.network.width, config.steps, config.network.layers) = (19, 13, 4);
+            config.network.phase_functions = phase_functions;
+            config.network.bounded_variances = bounded;
+            config.network.least_log_variance = -3.0;
             let weights = weights(&config, 5);
             let batch = 3;
             let (h, w) = (ramp(batch * 3, 3), ramp(batch * 4, 4));

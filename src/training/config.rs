@@ -149,13 +149,22 @@ impl TrainingConfig {
                 segments: 3,
                 recognition_sees_context: true,
                 recognition_parts: 8,
+                phase_functions: 16,
+                least_log_variance: -6.0,
                 ..NetworkConfig::default()
             },
             manner: MannerConfig {
-                anchors: ["pour_start", "pour_duration", "maximum_tilt", "lift", "heading"]
-                    .map(String::from)
-                    .to_vec(),
-                anchor_strength: 300.0,
+                anchors: [
+                    "pour_start",
+                    "pour_duration",
+                    "maximum_tilt",
+                    "lift",
+                    "heading",
+                    "grasp_height",
+                ]
+                .map(String::from)
+                .to_vec(),
+                anchor_strength: 1000.0,
             },
             ..Self::default()
         }

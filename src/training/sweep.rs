@@ -16,6 +16,12 @@ use crate::evaluation::Evaluation;
 pub struct SweepConfig {
     /// What is trained on: recordings, or a data set, as for `tcvae train`.
     pub data: Vec<String>,
+    /// The task that was shown, a TOML file; pouring without one.
+    #[serde(default)]
+    pub task: Option<String>,
+    /// The robot that was recorded, a TOML file; Baxter without one.
+    #[serde(default)]
+    pub robot: Option<String>,
     /// Folder for the models and what was measured.
     pub output: String,
     /// Each combination of settings is trained with each of these seeds.

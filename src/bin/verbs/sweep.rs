@@ -34,12 +34,6 @@ pub(crate) struct SweepArgs {
     /// work and the output folder
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     shard: Shard,
-    /// The robot that was recorded; Baxter without it
-    #[arg(long, value_name = "F.toml")]
-    robot: Option<PathBuf>,
-    /// The task that was shown; pouring without it
-    #[arg(long, value_name = "F.toml")]
-    task: Option<PathBuf>,
     /// Print the ranking as JSON
     #[arg(long)]
     pub(crate) json: bool,
@@ -66,12 +60,13 @@ impl FromStr for Shard {
 }
 
 pub(crate) fn run(args: SweepArgs) -> anyhow::Result<ExitStatus> {
-    let SweepArgs { config: path, shard, robot, task, json } = args;
+    let SweepArgs { config: path, shard, json } = args;
     let of_file = |e: &dyn std::fmt::Display| UsageError(format!("{}: {e}", path.display()));
     let text = fs::read_to_string(&path).map_err(|e| of_file(&e))?;
     let sweep: SweepConfig = toml::from_str(&text).map_err(|e| of_file(&e))?;
     let runs = sweep.runs().map_err(|e| of_file(&e))?;
     let paths = sweep.data.iter().map(PathBuf::from).collect();
+    let [robot, task] = [&sweep.robot, &sweep.task].map(|f| f.as_ref().map(PathBuf::from));
     let source = Source::load(&Recordings { paths, robot, task, ..Recordings::default() })?;
     let output = Path::new(&sweep.output);
     fs::create_dir_all(output).with_context(|| output.display().to_string())?;
