@@ -11,6 +11,8 @@ mod primitive;
 
 pub use primitive::{PrimitiveEvaluation, evaluate_primitive};
 
+use std::collections::BTreeMap;
+
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt, SeedableRng};
@@ -56,7 +58,11 @@ pub struct Evaluation {
     pub robustness: Vec<Score>,
     /// Share of prior samples that are robust and inside the task's validity bounds.
     pub robust_and_valid: Vec<Score>,
-    /// The last two with latents from N(0, I), for a model whose prior is a learned one.
+    /// Share of the prior samples that show the task and break a bound of validity, for each bound
+    /// that any breaks.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub broken_bounds: BTreeMap<String, f64>,
+    /// [`Self::robustness`] and [`Self::robust_and_valid`] with latents from N(0, I), for a model whose prior is a learned one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub with_standard_normal_prior: Option<PriorScores>,
     /// Latents whose mean KL on validation is above 0.1 nat.
@@ -226,43 +232,42 @@ where
         score(threshold, intervals::wilson(share(&reconstruction_errors, threshold), cases.len()))
     };
 
-    // Decoded manners of the model's prior, or latents of N(0, I), for every case.
-    let prior_scores =
-        |rng: &mut ChaCha8Rng, sample: &dyn Fn(&TaskParameters, &mut ChaCha8Rng) -> Motion| {
-            let of_case = |case: &Demonstration| {
-                let mut samples = PriorSamples::default();
-                for _ in 0..*samples_per_case {
-                    let motion = sample(&case.w, rng);
-                    let error = task_error(&case.w, &motion);
-                    let valid = error.is_finite() && task.violations(&motion).is_empty();
-                    samples.errors.push(error);
-                    samples.valid_errors.push(if valid { error } else { f64::INFINITY });
-                }
-                samples
-            };
-            let samples: Vec<PriorSamples> = cases.iter().map(of_case).collect();
-            // The same resamples for every threshold, so that the intervals are nested as the shares are.
-            let clustered = |errors: fn(&PriorSamples) -> &[f64], &threshold: &f64| {
-                let shares: Vec<f64> =
-                    samples.iter().map(|s| share(errors(s), threshold)).collect();
-                score(threshold, intervals::cluster_bootstrap(&shares, &mut stream(2)))
-            };
-            PriorScores {
-                robustness: thresholds.iter().map(|t| clustered(|s| &s.errors, t)).collect(),
-                robust_and_valid: thresholds
-                    .iter()
-                    .map(|t| clustered(|s| &s.valid_errors, t))
-                    .collect(),
+    let sampled = |rng: &mut ChaCha8Rng, sample: &Sampler<'_>| -> Vec<PriorSamples> {
+        let of_case = |case: &Demonstration| {
+            let mut samples = PriorSamples::default();
+            for _ in 0..*samples_per_case {
+                let motion = sample(&case.w, rng);
+                let error = task_error(&case.w, &motion);
+                let broken = match error.is_finite() {
+                    true => task.violations(&motion),
+                    false => Vec::new(),
+                };
+                let valid = error.is_finite() && broken.is_empty();
+                samples.errors.push(error);
+                samples.valid_errors.push(if valid { error } else { f64::INFINITY });
+                samples.broken.extend(broken.iter().map(|v| v.bound));
             }
+            samples
         };
-    let PriorScores { robustness, robust_and_valid } =
-        prior_scores(&mut stream(1), &|w, rng| decode(w, &model.sample_manner(rng)));
+        cases.iter().map(of_case).collect()
+    };
+    let prior_scores = |samples: &[PriorSamples]| {
+        // The same resamples for every threshold, so that the intervals are nested as the shares are.
+        let clustered = |errors: fn(&PriorSamples) -> &[f64], &threshold: &f64| {
+            let shares: Vec<f64> = samples.iter().map(|s| share(errors(s), threshold)).collect();
+            score(threshold, intervals::cluster_bootstrap(&shares, &mut stream(2)))
+        };
+        let all = |errors| thresholds.iter().map(|t| clustered(errors, t)).collect();
+        PriorScores { robustness: all(|s| &s.errors), robust_and_valid: all(|s| &s.valid_errors) }
+    };
+    let samples = sampled(&mut stream(1), &|w, rng| decode(w, &model.sample_manner(rng)));
+    let PriorScores { robustness, robust_and_valid } = prior_scores(&samples);
     let with_standard_normal_prior = model.has_learned_prior().then(|| {
-        prior_scores(&mut stream(5), &|w, rng| {
+        prior_scores(&sampled(&mut stream(5), &|w, rng| {
             let latents: Vec<f64> =
                 StandardNormal.sample_iter(rng).take(model.manner_space().dim()).collect();
             model.decode_latents(w, &latents).motion(*duration_secs)
-        })
+        }))
     });
 
     let active = active_latents(&recognition.recognise(&splits.validation));
@@ -284,6 +289,7 @@ where
         success: thresholds.iter().map(success).collect(),
         robustness,
         robust_and_valid,
+        broken_bounds: broken_bounds(&samples),
         with_standard_normal_prior,
         active_latents: active.iter().filter(|a| **a).count(),
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
@@ -306,6 +312,20 @@ struct PriorSamples {
     errors: Vec<f64>,
     /// The same, infinite where a bound of validity is broken too.
     valid_errors: Vec<f64>,
+    /// The bounds that are broken, as often as they are.
+    broken: Vec<&'static str>,
+}
+
+/// Draws a motion for a task.
+type Sampler<'a> = dyn Fn(&TaskParameters, &mut ChaCha8Rng) -> Motion + 'a;
+
+fn broken_bounds(samples: &[PriorSamples]) -> BTreeMap<String, f64> {
+    let count: usize = samples.iter().map(|s| s.errors.len()).sum();
+    let mut shares = BTreeMap::new();
+    for bound in samples.iter().flat_map(|s| &s.broken) {
+        *shares.entry((*bound).to_owned()).or_insert(0.0) += 1.0 / count as f64;
+    }
+    shares
 }
 
 fn score(threshold: f64, Share { mean, low, high }: Share) -> Score {

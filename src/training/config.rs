@@ -139,11 +139,13 @@ impl TrainingConfig {
     pub fn pouring() -> Self {
         Self {
             steps: 100,
-            epochs: 30,
+            epochs: 40,
             beta: 8.0,
-            alpha: 2.0,
+            alpha: 10.0,
+            alpha_ramp_epochs: 10,
             network: NetworkConfig {
-                latents: 8,
+                latents: 10,
+                prior_components: 16,
                 task_baseline: true,
                 margins: true,
                 segments: 3,

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use super::adam::Adam;
-use super::anchors;
+use super::anchors::Scorer;
 use super::config::{SettingError, TrainingConfig};
 use super::report::{EpochReport, LatentStatistics, MeanTerms};
 use super::selection::Selector;
@@ -356,11 +356,12 @@ pub fn train(
     let sequences = |part: &[Demonstration]| -> Vec<Demonstration> {
         part.iter().map(|d| as_sequence(&model, d)).collect()
     };
-    let anchors = anchors::scores(&config.manner.anchors, task, &data.train)?;
+    let scorer = Scorer::fit(&config.manner.anchors, task, &data.train)?;
+    let anchors = scorer.scores(&data.train)?;
     let train = sequences(&data.train);
     let units = Units::fit(&model, &train);
     let train = Normalised::new(&model, &units, &train, anchors);
-    let anchors = anchors::scores(&config.manner.anchors, task, &data.validation)?;
+    let anchors = scorer.scores(&data.validation)?;
     let held_out = Normalised::new(&model, &units, &sequences(&data.validation), anchors);
 
     let layouts = layouts(config, &model);

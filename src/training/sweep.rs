@@ -374,6 +374,7 @@ mod tests {
                 success: score(s),
                 robustness: score(rv),
                 robust_and_valid: score(rv),
+                broken_bounds: BTreeMap::new(),
                 with_standard_normal_prior: None,
                 active_latents: active as usize,
                 reconstruction_rmse: 0.1,

@@ -101,6 +101,7 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         success,
         robustness,
         robust_and_valid,
+        broken_bounds,
         with_standard_normal_prior,
         active_latents,
         reconstruction_rmse,
@@ -131,6 +132,13 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         scores("robustness", robustness),
         scores("robust and valid", robust_and_valid),
     ];
+    if !broken_bounds.is_empty() {
+        let mut broken: Vec<_> = broken_bounds.iter().collect();
+        broken.sort_by(|a, b| b.1.total_cmp(a.1));
+        let told: Vec<_> =
+            broken.iter().map(|(bound, share)| format!("{bound} {share:.3}")).collect();
+        lines.push(format!("{:<22}{}", "broken bounds", told.join(", ")));
+    }
     if let Some(PriorScores { robustness, robust_and_valid }) = with_standard_normal_prior {
         lines.push("with latents of N(0, I) instead of the learned prior's:".into());
         lines.push(scores("robustness", robustness));
@@ -165,6 +173,8 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
 
     #[test]
@@ -176,6 +186,7 @@ mod tests {
             success: scores(0.9),
             robustness: scores(0.8),
             robust_and_valid: scores(0.7),
+            broken_bounds: BTreeMap::from([("lift".into(), 0.01), ("tilt".into(), 0.09)]),
             with_standard_normal_prior: None,
             active_latents: 2,
             reconstruction_rmse: 0.01234,
@@ -197,6 +208,7 @@ model 0123456789ab on data fedcba987654: 42 test cases, seed 7
 success               0.900 [0.890, 0.910]    0.900 [0.890, 0.910]
 robustness            0.800 [0.790, 0.810]    0.800 [0.790, 0.810]
 robust and valid      0.700 [0.690, 0.710]    0.700 [0.690, 0.710]
+broken bounds         tilt 0.090, lift 0.010
 
 active latents        2 of 4
 reconstruction rmse   0.0123
@@ -213,7 +225,7 @@ swap, middle distance 0.650"
             mig: 0.4,
         });
         let with_all = table(&evaluation, 4, "m");
-        let lines: Vec<_> = with_all.lines().skip(11).collect();
+        let lines: Vec<_> = with_all.lines().skip(12).collect();
         assert_eq!(
             lines,
             [
@@ -226,7 +238,7 @@ swap, middle distance 0.650"
         evaluation.with_standard_normal_prior =
             Some(PriorScores { robustness: scores(0.6), robust_and_valid: scores(0.5) });
         let with_both = table(&evaluation, 4, "m");
-        let lines: Vec<_> = with_both.lines().skip(6).take(3).collect();
+        let lines: Vec<_> = with_both.lines().skip(7).take(3).collect();
         assert_eq!(
             lines,
             [
