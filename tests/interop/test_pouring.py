@@ -132,7 +132,8 @@ def test_the_service_returns_12_samples_of_100_points(node, user, arm):
         found = np.linalg.norm(motion.pour_location(arm) - measured["pour_location"])
         assert found < 0.003, "the node's measure of the pour and ours differ"
         assert 0 <= sample.task_error <= TOLERANCE_M
-        assert sample.joint_margin > 0 and sample.slowdown >= 1 and sample.tries >= 1
+        # A joint may touch its limit, and not leave it.
+        assert sample.joint_margin >= 0 and sample.slowdown >= 1 and sample.tries >= 1
     manners = {tuple(sample.manner_values) for sample in response.samples}
     assert len(manners) == 12
     again = user.call(SampleTrajectory, "sample_trajectory", **request)
