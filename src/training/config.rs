@@ -141,7 +141,7 @@ impl TrainingConfig {
             steps: 100,
             epochs: 40,
             beta: 8.0,
-            alpha: 10.0,
+            alpha: 20.0,
             alpha_ramp_epochs: 10,
             network: NetworkConfig {
                 latents: 10,
