@@ -157,6 +157,7 @@ fn arcs_are_simulated_trained_on_and_evaluated_by_one_seed() {
         keys,
         [
             "active_latents",
+            "broken_bounds",
             "calibration",
             "cases",
             "data_digest",

@@ -60,7 +60,7 @@ pub struct Evaluation {
     pub robust_and_valid: Vec<Score>,
     /// Share of the prior samples that show the task and break a bound of validity, for each bound
     /// that any breaks.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default)]
     pub broken_bounds: BTreeMap<String, f64>,
     /// [`Self::robustness`] and [`Self::robust_and_valid`] with latents from N(0, I), for a model whose prior is a learned one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
