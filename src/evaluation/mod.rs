@@ -62,7 +62,8 @@ pub struct Evaluation {
     /// that any breaks.
     #[serde(default)]
     pub broken_bounds: BTreeMap<String, f64>,
-    /// [`Self::robustness`] and [`Self::robust_and_valid`] with latents from N(0, I), for a model whose prior is a learned one.
+    /// [`Self::robustness`] and [`Self::robust_and_valid`] with latents from N(0, I), for a model
+    /// whose prior is a learned one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub with_standard_normal_prior: Option<PriorScores>,
     /// Latents whose mean KL on validation is above 0.1 nat.

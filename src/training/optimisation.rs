@@ -336,7 +336,8 @@ impl Normalised {
     }
 }
 
-/// Trains a primitive for `task` on `data.train` and reports on `data.validation`; the test part is left alone.
+/// Trains a primitive for `task` on `data.train` and reports on `data.validation`; the test part is
+/// left alone.
 ///
 /// The result depends on the configuration, the demonstrations and `start` alone: not on the
 /// number of cores, and not on where a training was stopped and resumed. `stop` is read before
