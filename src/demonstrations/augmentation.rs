@@ -16,7 +16,7 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
 use super::pouring::PouringTask;
-use super::task::Task;
+use super::task::{Task, TaskSettingError};
 use super::{Demonstration, Splits};
 use crate::alignment::{Alignment, segment_secs};
 use crate::parameters::Interval;
@@ -91,6 +91,32 @@ impl Augmentation {
     pub fn paper() -> Self {
         let (max_stretch, max_turn_change, max_lift_change, max_rise_m) = (0.0, 0.0, 0.0, 0.0);
         Self { max_stretch, max_turn_change, max_lift_change, max_rise_m, ..Self::default() }
+    }
+
+    /// Checks what no type can say.
+    ///
+    /// # Errors
+    /// The first setting that can't be.
+    pub fn check(&self) -> Result<(), TaskSettingError> {
+        let any = |name, value: f64| (name, value, f64::MAX, "finite and not negative");
+        let share = |name, value: f64| (name, value, 0.9, "from 0 to 0.9");
+        for (name, value, limit, expected) in [
+            any("augmentation.max_turn_deg", self.max_turn_deg),
+            any("augmentation.max_move_m", self.max_move_m),
+            any("augmentation.max_pour_shift_m", self.max_pour_shift_m),
+            any("augmentation.max_rise_m", self.max_rise_m),
+            any("augmentation.region_margin_m", self.region_margin_m),
+            share("augmentation.weight_noise", self.weight_noise),
+            share("augmentation.max_stretch", self.max_stretch),
+            share("augmentation.max_turn_change", self.max_turn_change),
+            share("augmentation.max_lift_change", self.max_lift_change),
+        ] {
+            // Also false for what is not a number.
+            if !(0.0..=limit).contains(&value) {
+                return Err(TaskSettingError { name, value: value.to_string(), expected });
+            }
+        }
+        Ok(())
     }
 
     /// Adds copies to what is trained and validated on; what is tested on stays as it was

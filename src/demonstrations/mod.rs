@@ -9,7 +9,7 @@ pub mod simulation;
 pub mod task;
 
 pub use crate::primitive::Demonstration;
-pub use task::{Task, TaskConfig, TaskMeasureError, Violation};
+pub use task::{Task, TaskConfig, TaskMeasureError, TaskSettingError, Violation};
 
 use rand::Rng;
 use rand::seq::SliceRandom;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::Demonstration;
 use super::augmentation::Augmentation;
 use super::recording::{ArmRecording, Exclusion, JointRecording, Reason, RobotConfig};
-use super::task::{Factor, Task, TaskMeasureError, Violation};
+use super::task::{Factor, Task, TaskMeasureError, TaskSettingError, Violation};
 use crate::kinematics::Chain;
 use crate::parameters::{Interval, TaskLocation, TaskParameters, TaskSpace};
 use crate::pose::{STATE_DIM, StateFrame, tilt, up_in_tip};
@@ -182,6 +182,43 @@ pub struct Segment {
 }
 
 impl PouringTask {
+    /// Checks what no type can say.
+    ///
+    /// # Errors
+    /// The first setting that can't be.
+    pub fn check(&self) -> Result<(), TaskSettingError> {
+        let error = |name, value: &dyn std::fmt::Display, expected| {
+            Err(TaskSettingError { name, value: value.to_string(), expected })
+        };
+        let Self { pour_location, source_cup, steps, .. } = self;
+        if pour_location.is_empty() || source_cup.is_empty() || pour_location == source_cup {
+            return error("pour_location", pour_location, "a name, and another than source_cup");
+        }
+        if !(4..=10_000).contains(steps) {
+            return error("steps", steps, "from 4 to 10000");
+        }
+        let [end, same, pour] = [self.end_tilt_deg, self.same_pour_tilt_deg, self.pour_tilt_deg];
+        if !(0.0 < end && end <= same && same <= pour && pour < 180.0) {
+            let expected = "below 180, and not below same_pour_tilt_deg, which is not below \
+                            end_tilt_deg, which is above 0";
+            return error("pour_tilt_deg", &pour, expected);
+        }
+        if let Some(angle) = self.reference_rpy_deg.iter().find(|a| !a.is_finite()) {
+            return error("reference_rpy_deg", angle, "three finite angles");
+        }
+        for (name, interval) in [
+            ("validity.workspace_x_m", self.validity.workspace_x_m),
+            ("validity.workspace_y_m", self.validity.workspace_y_m),
+        ] {
+            let Interval { lower, upper } = interval;
+            if !(lower.is_finite() && upper.is_finite() && lower <= upper) {
+                let value = format!("[{lower}, {upper}]");
+                return error(name, &value, "finite, the lower bound first");
+            }
+        }
+        self.augmentation.check()
+    }
+
     /// Where the states' rotation vectors are measured from.
     pub fn state_frame(&self) -> StateFrame {
         let [roll, pitch, yaw] = self.reference_rpy_deg.map(f64::to_radians);
@@ -879,6 +916,32 @@ pub(super) mod tests {
         let config: crate::demonstrations::TaskConfig = toml::from_str(text).unwrap();
         assert_eq!(config, crate::demonstrations::TaskConfig::Pouring(PouringTask::default()));
         assert!(toml::from_str::<PouringTask>("pour_tilt = 70").is_err());
+    }
+
+    #[test]
+    fn settings_that_can_not_be_are_refused_by_name() {
+        assert_eq!(PouringTask::default().check(), Ok(()));
+        for (set, said) in [
+            ("steps = 1", "steps is 1; it must be from 4 to 10000"),
+            ("pour_location = 'source_cup'", "pour_location is source_cup; it must be a name"),
+            ("pour_tilt_deg = nan", "pour_tilt_deg is NaN; it must be below 180"),
+            ("end_tilt_deg = 60", "pour_tilt_deg is 70; it must be below 180, and not below"),
+            ("reference_rpy_deg = [0, inf, 0]", "reference_rpy_deg is inf; it must be three"),
+            (
+                "validity.workspace_x_m = { lower = 1.0, upper = 0.0 }",
+                "validity.workspace_x_m is [1, 0]; it must be finite",
+            ),
+            (
+                "augmentation.weight_noise = -1.0",
+                "augmentation.weight_noise is -1; it must be from 0 to 0.9",
+            ),
+            ("augmentation.max_stretch = 1.5", "augmentation.max_stretch is 1.5; it must be"),
+            ("augmentation.max_move_m = nan", "augmentation.max_move_m is NaN; it must be"),
+        ] {
+            let task: PouringTask = toml::from_str(set).unwrap();
+            let error = task.check().unwrap_err().to_string();
+            assert!(error.starts_with(said), "{error}");
+        }
     }
 
     #[test]

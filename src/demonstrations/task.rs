@@ -93,7 +93,30 @@ pub enum TaskConfig {
     Pouring(PouringTask),
 }
 
+/// Why a task's settings can't be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} is {value}; it must be {expected}")]
+pub struct TaskSettingError {
+    /// The key.
+    pub name: &'static str,
+    /// Its value.
+    pub value: String,
+    /// What it must be.
+    pub expected: &'static str,
+}
+
 impl TaskConfig {
+    /// Checks what no type can say.
+    ///
+    /// # Errors
+    /// The first setting that can't be.
+    pub fn check(&self) -> Result<(), TaskSettingError> {
+        match self {
+            Self::Arcs(_) => Ok(()),
+            Self::Pouring(task) => task.check(),
+        }
+    }
+
     /// The task that measures motions.
     pub fn task(&self) -> &dyn Task {
         match self {

@@ -199,6 +199,31 @@ impl TrainingConfig {
                 return Err(SettingError { name, value, expected });
             }
         }
+        // Settings that would do nothing, or not what they say.
+        let SelectionConfig { samples, threshold, patience, .. } = self.selection;
+        let strength = self.manner.anchor_strength;
+        let anchored = self.manner.anchors.is_empty() || strength > 0.0;
+        let unseen = !self.network.task_conditioned && self.alpha > 0.0;
+        for (name, value, fits, expected) in [
+            ("alpha", self.alpha, !unseen, "0 where network.task_conditioned is false"),
+            ("manner.anchor_strength", strength, anchored, "above 0 with manner.anchors"),
+            (
+                "selection.threshold",
+                threshold,
+                samples == 0 || threshold > 0.0,
+                "above 0 with selection.samples",
+            ),
+            (
+                "selection.patience",
+                patience as f64,
+                patience == 0 || samples > 0,
+                "0 without selection.samples, as no epoch is better than another",
+            ),
+        ] {
+            if !fits {
+                return Err(SettingError { name, value, expected });
+            }
+        }
         Ok(())
     }
 
@@ -274,5 +299,15 @@ mod tests {
         let error = config.check().unwrap_err();
         assert_eq!(error.to_string(), "learning_rate is -0.1; it must be in (0, 1]");
         assert!(TrainingConfig { beta: f64::NAN, ..Default::default() }.check().is_err());
+        for (set, said) in [
+            ("[network]\ntask_conditioned = false", "alpha is 50; it must be 0 where"),
+            ("[manner]\nanchors = ['span']", "manner.anchor_strength is 0; it must be above 0"),
+            ("[selection]\nsamples = 2", "selection.threshold is 0; it must be above 0"),
+            ("[selection]\npatience = 2", "selection.patience is 2; it must be 0 without"),
+        ] {
+            let config: TrainingConfig = toml::from_str(set).unwrap();
+            let error = config.check().unwrap_err().to_string();
+            assert!(error.starts_with(said), "{error}");
+        }
     }
 }

@@ -72,7 +72,10 @@ impl<'a> Selector<'a> {
     ) -> usize {
         let space = self.task.task_space();
         let manner = MannerSpace::unnamed(config.network.latents, BOUND);
-        let Ok(primitive) = TcVaePrimitive::new(config, units, weights, space.clone(), manner)
+        // The prior is learned when the training is over; until then it is N(0, I).
+        let mut config = config.clone();
+        config.network.prior_components = 0;
+        let Ok(primitive) = TcVaePrimitive::new(&config, units, weights, space.clone(), manner)
         else {
             // Weights that decode to nothing finite hit nothing.
             return 0;

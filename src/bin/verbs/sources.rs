@@ -45,7 +45,11 @@ pub(crate) fn load_robot(path: Option<&Path>) -> anyhow::Result<LoadedRobot> {
 /// The task of a TOML file; pouring without one.
 pub(crate) fn load_task(path: Option<&Path>) -> anyhow::Result<TaskConfig> {
     match path {
-        Some(path) => Ok(config::read(path).map_err(usage)?),
+        Some(path) => {
+            let task: TaskConfig = config::read(path).map_err(usage)?;
+            task.check().map_err(|e| UsageError(format!("{}: {e}", path.display())))?;
+            Ok(task)
+        }
         None => Ok(TaskConfig::Pouring(PouringTask::default())),
     }
 }

@@ -130,9 +130,11 @@ fn report(
 ) -> ExitStatus {
     let latents = &artifact.document.latents;
     let active = latents.iter().filter(|l| l.kl > MeanTerms::ACTIVE_KL).count();
+    // Fewer than asked for, where the training stopped early.
+    let epochs = artifact.document.last_epoch.as_ref().map_or(0, |last| last.epoch);
     if json {
         print_json(&json!({
-            "model": path, "model_id": artifact.model_id(), "epochs": config.epochs,
+            "model": path, "model_id": artifact.model_id(), "epochs": epochs,
             "seed": config.seed, "active_latents": active,
             "kl": latents.iter().map(|l| l.kl).collect::<Vec<_>>(),
             "seconds": took.as_secs_f64(),
@@ -143,7 +145,7 @@ fn report(
             path.display(),
             artifact.model_id(),
             latents.len(),
-            config.epochs,
+            epochs,
             took.as_secs_f64()
         ));
     }
