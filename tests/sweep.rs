@@ -48,16 +48,11 @@ fn two_processes_share_a_sweep_and_a_third_finds_it_done() {
         tcvae(&["simulate", "arcs", "--seed", "3", "--count", "60", "-o", "arcs"], path);
     assert_eq!(simulated.status.code(), Some(0), "{simulated:?}");
     fs::write(path.join("sweep.toml"), SWEEP).expect("written");
-    let shard = |shard| {
-        Command::new(env!("CARGO_BIN_EXE_tcvae"))
-            .args(["sweep", "--config", "sweep.toml", "--shard", shard])
-            .current_dir(path)
-            .output()
-    };
+    let shard = |part| tcvae(&["sweep", "--config", "sweep.toml", "--shard", part], path);
     std::thread::scope(|scope| {
         let processes = ["1/2", "2/2"].map(|part| scope.spawn(move || shard(part)));
         for process in processes {
-            let output = process.join().expect("no panic").expect("tcvae runs");
+            let output = process.join().expect("no panic");
             assert_eq!(output.status.code(), Some(0), "{output:?}");
         }
     });
