@@ -211,6 +211,43 @@ pub(crate) fn add_and_activate<S: Simd>(
     }
 }
 
+/// Activations in place of the values before them, with the slope of each where a backward pass
+/// wants it.
+#[cfg(feature = "train")]
+pub(crate) struct Activate<'a> {
+    /// The nonlinearity.
+    pub(crate) activation: Activation,
+    /// Values, and then activations.
+    pub(crate) values: &'a mut [f32],
+    /// A slope for each value; empty where none are wanted.
+    pub(crate) slopes: &'a mut [f32],
+}
+
+#[cfg(feature = "train")]
+impl WithSimd for Activate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { activation, values, slopes } = self;
+        let (values, rest) = S::as_mut_simd_f32s(values);
+        let (slopes, rest_slopes) = S::as_mut_simd_f32s(slopes);
+        if slopes.is_empty() {
+            values.iter_mut().for_each(|x| *x = activate(simd, activation, *x));
+        }
+        for (x, slope) in values.iter_mut().zip(slopes) {
+            *slope = activation_slope(simd, activation, *x);
+            *x = activate(simd, activation, *x);
+        }
+        // What does not fill a vector: in the first lanes of one.
+        if !rest.is_empty() {
+            let x = simd.partial_load_f32s(rest);
+            simd.partial_store_f32s(rest_slopes, activation_slope(simd, activation, x));
+            simd.partial_store_f32s(rest, activate(simd, activation, x));
+        }
+    }
+}
+
 /// Two vectors from as many values.
 #[inline(always)]
 fn pair<S: Simd>(values: &[f32]) -> [S::f32s; 2] {
@@ -246,10 +283,60 @@ fn gelu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.mul_add_f32s(half, erf, half)
 }
 
+/// The activation's derivative.
+#[cfg(feature = "train")]
 #[inline(always)]
-fn polynomial<S: Simd>(simd: S, coefficients: [f32; 6], x: S::f32s) -> S::f32s {
-    let mut value = simd.splat_f32s(coefficients[5]);
-    for i in (0..5).rev() {
+fn activation_slope<S: Simd>(simd: S, activation: Activation, x: S::f32s) -> S::f32s {
+    match activation {
+        Activation::Relu => {
+            let zero = simd.splat_f32s(0.0);
+            simd.select_f32s(simd.greater_than_f32s(x, zero), simd.splat_f32s(1.0), zero)
+        }
+        Activation::Gelu => gelu_slope(simd, x),
+    }
+}
+
+/// `gelu'(x) - 1 / 2 = x P(x^2) / Q(x^2)` on `[-5.5, 5.5]`, to 6e-8 before rounding; it is odd and
+/// ±1/2 beyond to 6e-7. Our own fit: `tests/golden/erf.py`.
+#[cfg(feature = "train")]
+const SLOPE_RANGE: f32 = 5.5;
+#[cfg(feature = "train")]
+const SLOPE_P: [f32; 7] = [
+    0.797_884_6,
+    0.011_832_512,
+    0.012_260_671,
+    8.076_608e-4,
+    3.124_063e-5,
+    2.192_207_8e-6,
+    1.240_079_8e-8,
+];
+#[cfg(feature = "train")]
+const SLOPE_Q: [f32; 7] = [
+    1.0,
+    0.348_163_43,
+    0.056_420_308,
+    0.005_612_190_3,
+    3.761_184_6e-4,
+    1.722_848_9e-5,
+    5.419_877e-7,
+];
+
+/// `Phi(x) + x phi(x)`.
+#[cfg(feature = "train")]
+#[inline(always)]
+fn gelu_slope<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    let limit = simd.splat_f32s(SLOPE_RANGE);
+    let clamped = simd.max_f32s(simd.min_f32s(x, limit), simd.neg_f32s(limit));
+    let u = simd.mul_f32s(clamped, clamped);
+    let (p, q) = (polynomial(simd, SLOPE_P, u), polynomial(simd, SLOPE_Q, u));
+    let odd = simd.div_f32s(simd.mul_f32s(clamped, p), q);
+    simd.add_f32s(odd, simd.splat_f32s(0.5))
+}
+
+#[inline(always)]
+fn polynomial<S: Simd, const N: usize>(simd: S, coefficients: [f32; N], x: S::f32s) -> S::f32s {
+    let mut value = simd.splat_f32s(coefficients[N - 1]);
+    for i in (0..N - 1).rev() {
         value = simd.mul_add_f32s(value, x, simd.splat_f32s(coefficients[i]));
     }
     value
@@ -292,6 +379,38 @@ mod tests {
         for (y, (x, expected)) in y.iter().zip(known) {
             let error = (f64::from(*y) - expected).abs();
             assert!(error < 3e-7 * f64::from(x).abs().max(1.0), "gelu({x}) = {y}, not {expected}");
+        }
+    }
+
+    #[cfg(feature = "train")]
+    #[test]
+    fn activations_come_with_their_slopes() {
+        // Phi(x) + x phi(x) in double precision, from Python's math.erf and math.exp.
+        let known: [(f32, f64); 7] = [
+            (-6.0, -3.546_870_95e-8),
+            (-4.0, -5.036_496_61e-4),
+            (-1.0, -0.083_315_470_587_686),
+            (0.0, 0.5),
+            (0.5, 0.867_495_124_656_163),
+            (3.0, 1.011_945_647_204_184),
+            (7.0, 1.000_000_000_062_67),
+        ];
+        // Longer than any vector by a bit, so that there is a rest.
+        let x: Vec<f32> = known.iter().cycle().take(37).map(|(x, _)| *x).collect();
+        for activation in [Activation::Gelu, Activation::Relu] {
+            let (mut values, mut slopes) = (x.clone(), vec![0.0; x.len()]);
+            dispatch(Activate { activation, values: &mut values, slopes: &mut slopes });
+            let mut alone = x.clone();
+            dispatch(Activate { activation, values: &mut alone, slopes: &mut [] });
+            assert_eq!(alone, values);
+            for (slope, (x, gelu)) in slopes.iter().zip(known.iter().cycle()) {
+                let expected = match activation {
+                    Activation::Gelu => *gelu,
+                    Activation::Relu => f64::from(*x > 0.0),
+                };
+                let error = (f64::from(*slope) - expected).abs();
+                assert!(error < 1e-6, "{activation:?}'({x}) = {slope}, not {expected}");
+            }
         }
     }
 

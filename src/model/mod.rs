@@ -3,6 +3,8 @@
 
 mod backend;
 mod config;
+#[cfg(feature = "train")]
+mod fused;
 mod kernel;
 mod layout;
 #[cfg(feature = "train")]

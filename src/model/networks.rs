@@ -8,7 +8,9 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData, activation};
 
+use super::backend::Backend;
 use super::config::{Activation, ModelConfig, TAPS};
+use super::fused::{self, LayerShape};
 use super::layout::Layout;
 
 /// Bounds of the recognition network's log-variance.
@@ -53,15 +55,6 @@ impl<'l> Parameters<'l> {
     fn get(&self, name: &str) -> Tensor<2> {
         self.tensors[name].clone()
     }
-
-    fn dense(&self, name: &str, x: Tensor<2>) -> Tensor<2> {
-        x.matmul(self.get(&format!("{name}.weight"))) + self.get(&format!("{name}.bias"))
-    }
-
-    fn mlp(&self, name: &str, activation: Activation, x: Tensor<2>) -> Tensor<2> {
-        let hidden = activate(activation, self.dense(&format!("{name}.hidden"), x));
-        self.dense(&format!("{name}.output"), hidden)
-    }
 }
 
 /// A tensor of values that are given row by row.
@@ -104,35 +97,13 @@ pub(crate) struct DecodedTensors {
 pub(crate) struct Networks {
     pub(crate) config: ModelConfig,
     device: Device,
-    /// The phase's functions through each tap of the first convolution, `[steps, taps * functions]`.
-    phase: Tensor<2>,
-    /// For each layer, whether each tap lies inside the sequence (1) or not (0), `[steps, taps]`.
-    inside: Vec<Tensor<2>>,
+    /// Whether layers are computed by [`super::fused`]; else they are composed of Burn's operations.
+    fused: bool,
 }
 
 impl Networks {
-    pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
-        let steps = config.steps;
-        // Rows of `values` as each tap sees them, zeros beyond the ends.
-        let taps = |dilation: usize, values: &[f32]| {
-            let count = values.len() / steps;
-            let at = |t: Option<usize>| match t.filter(|t| *t < steps) {
-                Some(t) => values[t * count..(t + 1) * count].to_vec(),
-                None => vec![0.0; count],
-            };
-            let row = |t: usize| {
-                [at(t.checked_sub(dilation)), at(Some(t)), at(Some(t + dilation))].concat()
-            };
-            tensor((0..steps).flat_map(row).collect(), [steps, TAPS * count], device)
-        };
-        let ones = vec![1.0; steps];
-        let inside = (0..config.network.layers).map(|i| taps(ModelConfig::dilation(i), &ones));
-        Self {
-            phase: taps(ModelConfig::dilation(0), &config.phase()),
-            inside: inside.collect(),
-            config: config.clone(),
-            device: device.clone(),
-        }
+    pub(crate) fn new(config: &ModelConfig, backend: Backend, device: &Device) -> Self {
+        Self { config: config.clone(), device: device.clone(), fused: backend == Backend::Flex }
     }
 
     /// `q(h|x)` (eq. 6-8) for `x`, time-major; our variant's `q(h|x, w)`, which sees the phase and
@@ -146,15 +117,11 @@ impl Networks {
         let network = &self.config.network;
         let mut x = x;
         if network.recognition_sees_context {
-            let ([steps, batch], phase) = ([self.config.steps, w.dims()[0]], self.config.phase());
-            let functions = network.phase_functions;
-            let rows = phase.chunks_exact(functions).flat_map(|row| row.repeat(batch));
-            let phase = tensor(rows.collect(), [steps * batch, functions], &self.device);
-            x = Tensor::cat(vec![x, phase, w.clone().repeat_dim(0, steps)], 1);
+            let phase = self.phase(w.dims()[0]);
+            x = Tensor::cat(vec![x, phase, w.clone().repeat_dim(0, self.config.steps)], 1);
         }
         for i in 0..network.layers {
-            let y = self.convolve(parameters, &format!("recognition.layers.{i}"), i, x.clone());
-            x = self.finish_layer(i, x, y);
+            x = self.convolve(parameters, &format!("recognition.layers.{i}"), i, x, None);
         }
         let [rows, width] = x.dims();
         let steps = self.config.steps;
@@ -166,8 +133,8 @@ impl Networks {
             part.mean_dim(0).reshape([batch, width])
         };
         let pooled = Tensor::cat((0..parts).map(mean).collect(), 1);
-        let mean = parameters.mlp("recognition.mean", network.activation, pooled.clone());
-        let log_variance = parameters.mlp("recognition.log_variance", network.activation, pooled);
+        let mean = self.mlp(parameters, "recognition.mean", pooled.clone());
+        let log_variance = self.mlp(parameters, "recognition.log_variance", pooled);
         let (lower, upper) = POSTERIOR_LOG_VARIANCE;
         let log_variance = match network.bounded_variances {
             true => log_variance.clamp(lower, upper),
@@ -184,25 +151,19 @@ impl Networks {
         w: Tensor<2>,
     ) -> DecodedTensors {
         let network = &self.config.network;
-        let manner = parameters.mlp("decoder.manner", network.activation, h.clone());
-        let task = parameters.mlp("decoder.task", network.activation, w);
-        let codes = Tensor::cat(vec![manner, task, h.clone()], 1);
-        let batch = h.dims()[0];
-        let (steps, width) = (self.config.steps, network.width);
-
-        // The first convolution reads the phase and what is constant along the sequence.
-        let phase = self.phase.clone().matmul(parameters.get("decoder.layers.0.weight"))
-            + parameters.get("decoder.layers.0.bias");
-        let constant = self.constant(parameters, 0, codes).reshape([steps, batch, width]);
-        let y = (constant + phase.reshape([steps, 1, width])).reshape([steps * batch, width]);
-        let mut x = activate(network.activation, y);
-        for i in 1..network.layers {
-            let y = self.convolve(parameters, &format!("decoder.layers.{i}"), i, x.clone())
-                + self.constant(parameters, i, h.clone());
-            x = self.finish_layer(i, x, y);
+        let manner = self.mlp(parameters, "decoder.manner", h.clone());
+        let task = self.mlp(parameters, "decoder.task", w);
+        // What is constant along the sequence: the codes at the first convolution, h at all others.
+        let mut constants = Tensor::cat(vec![manner, task, h.clone()], 1);
+        let mut x = self.phase(h.dims()[0]);
+        for i in 0..network.layers {
+            let name = format!("decoder.layers.{i}");
+            let products = constants.matmul(parameters.get(&format!("{name}.constant")));
+            x = self.convolve(parameters, &name, i, x, Some(products));
+            constants = h.clone();
         }
-        let mean = parameters.mlp("decoder.mean", network.activation, x.clone());
-        let raw = parameters.mlp("decoder.log_variance", network.activation, x);
+        let mean = self.mlp(parameters, "decoder.mean", x.clone());
+        let raw = self.mlp(parameters, "decoder.log_variance", x);
         let bounded = |raw: Tensor<2>| {
             let (centre, half_range) = network.log_variance_range();
             raw.div_scalar(half_range).tanh().mul_scalar(half_range).add_scalar(centre)
@@ -213,33 +174,90 @@ impl Networks {
 
     /// The adversary's guess of w from h, `f_W(h)` (eq. 13).
     pub(crate) fn guess_task(&self, parameters: &Parameters<'_>, h: Tensor<2>) -> Tensor<2> {
-        let activation = self.config.network.activation;
-        let x = activate(activation, parameters.dense("adversary.layers.0", h));
-        let x = activate(activation, parameters.dense("adversary.layers.1", x));
-        parameters.dense("adversary.layers.2", x)
+        let activation = Some(self.config.network.activation);
+        let x = self.dense(parameters, "adversary.layers.0", activation, h);
+        let x = self.dense(parameters, "adversary.layers.1", activation, x);
+        self.dense(parameters, "adversary.layers.2", None, x)
     }
 
-    fn finish_layer(&self, layer: usize, x: Tensor<2>, y: Tensor<2>) -> Tensor<2> {
-        let y = activate(self.config.network.activation, y);
-        if self.config.network.residual && layer > 0 { x + y } else { y }
+    /// The phase's functions at every step of every sequence, `[steps * batch, functions]`.
+    fn phase(&self, batch: usize) -> Tensor<2> {
+        let functions = self.config.network.phase_functions;
+        let phase = self.config.phase();
+        let rows = phase.chunks_exact(functions).flat_map(|row| row.repeat(batch));
+        tensor(rows.collect(), [self.config.steps * batch, functions], &self.device)
     }
 
-    /// The dilated convolution of `x`, with zeros beyond its ends.
+    fn mlp(&self, parameters: &Parameters<'_>, name: &str, x: Tensor<2>) -> Tensor<2> {
+        let activation = Some(self.config.network.activation);
+        let hidden = self.dense(parameters, &format!("{name}.hidden"), activation, x);
+        self.dense(parameters, &format!("{name}.output"), None, hidden)
+    }
+
+    fn dense(
+        &self,
+        parameters: &Parameters<'_>,
+        name: &str,
+        activation: Option<Activation>,
+        x: Tensor<2>,
+    ) -> Tensor<2> {
+        let shape = LayerShape { reach: None, activation, residual: false };
+        self.layer(parameters, name, x, None, shape)
+    }
+
+    /// A layer of a TCN: the dilated convolution of `x`, with zeros beyond its ends.
     fn convolve(
         &self,
         parameters: &Parameters<'_>,
         name: &str,
         layer: usize,
         x: Tensor<2>,
+        constants: Option<Tensor<2>>,
     ) -> Tensor<2> {
-        let weight = parameters.get(&format!("{name}.weight"));
-        let bias = parameters.get(&format!("{name}.bias"));
+        let network = &self.config.network;
+        let batch = x.dims()[0] / self.config.steps;
+        let shape = LayerShape {
+            reach: Some(ModelConfig::dilation(layer) * batch),
+            activation: Some(network.activation),
+            residual: network.residual && layer > 0,
+        };
+        self.layer(parameters, name, x, constants, shape)
+    }
+
+    fn layer(
+        &self,
+        parameters: &Parameters<'_>,
+        name: &str,
+        x: Tensor<2>,
+        constants: Option<Tensor<2>>,
+        shape: LayerShape,
+    ) -> Tensor<2> {
+        let [weight, bias] =
+            ["weight", "bias"].map(|kind| parameters.get(&format!("{name}.{kind}")));
+        if self.fused {
+            return fused::layer(x, weight, bias, constants, shape);
+        }
+        let LayerShape { reach, activation, residual } = shape;
+        let mut y = match reach {
+            None => x.clone().matmul(weight),
+            Some(reach) => self.convolution(x.clone(), weight, reach),
+        };
+        y = y + bias;
+        if let (Some(constants), Some(reach)) = (constants, reach) {
+            y = y + self.constant(constants, reach);
+        }
+        if let Some(activation) = activation {
+            y = activate(activation, y);
+        }
+        if residual { x + y } else { y }
+    }
+
+    /// The dilated convolution of `x` alone, composed: a product for each tap.
+    fn convolution(&self, x: Tensor<2>, weight: Tensor<2>, reach: usize) -> Tensor<2> {
         let [rows, channels] = x.dims();
         let width = weight.dims()[1];
         let tap = |i: usize| weight.clone().slice([i * channels..(i + 1) * channels, 0..width]);
-        let batch = rows / self.config.steps;
-        let reach = ModelConfig::dilation(layer) * batch;
-        let y = x.clone().matmul(tap(1)) + bias;
+        let y = x.clone().matmul(tap(1));
         if reach >= rows {
             return y;
         }
@@ -249,19 +267,75 @@ impl Networks {
         y + Tensor::cat(vec![zeros.clone(), before], 0) + Tensor::cat(vec![after, zeros], 0)
     }
 
-    /// A convolution's share of `constants`, `[batch, inputs]`, which don't change along the
-    /// sequence: one product for each tap, taken up by the steps at which the tap lies inside.
-    fn constant(
-        &self,
-        parameters: &Parameters<'_>,
-        layer: usize,
-        constants: Tensor<2>,
-    ) -> Tensor<2> {
-        let weight = parameters.get(&format!("decoder.layers.{layer}.constant"));
-        let batch = constants.dims()[0];
-        let (steps, width) = (self.config.steps, self.config.network.width);
-        let products = constants.matmul(weight).reshape([batch, TAPS, width]);
-        let products = products.swap_dims(0, 1).reshape([TAPS, batch * width]);
-        self.inside[layer].clone().matmul(products).reshape([steps * batch, width])
+    /// Each sequence's `constants`, `[batch, taps * width]`, taken up by the steps at which their tap
+    /// lies inside the sequence, composed.
+    fn constant(&self, constants: Tensor<2>, reach: usize) -> Tensor<2> {
+        let (batch, steps) = (constants.dims()[0], self.config.steps);
+        let width = constants.dims()[1] / TAPS;
+        let dilation = reach / batch;
+        let inside = |t: usize| [t >= dilation, true, t + dilation < steps].map(f32::from);
+        let inside = tensor((0..steps).flat_map(inside).collect(), [steps, TAPS], &self.device);
+        let by_tap = constants.reshape([batch, TAPS, width]).swap_dims(0, 1);
+        inside.matmul(by_tap.reshape([TAPS, batch * width])).reshape([steps * batch, width])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::layout::tests::small;
+    use super::*;
+    use rand::SeedableRng;
+    use rand::rngs::ChaCha8Rng;
+
+    /// Means and log-variances of both networks, and the gradients of their weighted sum.
+    fn computed(config: &ModelConfig, fused: bool, batch: usize) -> [Vec<f32>; 3] {
+        let device = Backend::Flex.device().autodiff();
+        let networks = Networks { fused, ..Networks::new(config, Backend::Flex, &device) };
+        let layout = Layout::of_model(config);
+        let flat = layout.initial(&mut ChaCha8Rng::seed_from_u64(3));
+        let parameters = Parameters::new(&layout, &flat, &device);
+        let ramp = |rows: usize, columns: usize| {
+            let values = (0..rows * columns).map(|i| (i * 7919 % 101) as f32 / 50.0 - 1.0);
+            tensor(values.collect(), [rows, columns], &device)
+        };
+        let ModelConfig { steps, state_dim, task_dim, ref network } = *config;
+        let (x, w) = (ramp(steps * batch, state_dim), ramp(batch, task_dim));
+        let PosteriorTensors { mean, log_variance } = networks.recognise(&parameters, x, &w);
+        let decoded = networks.decode(&parameters, mean.clone(), w);
+        let weighted = |t: Tensor<2>| {
+            let [rows, columns] = t.dims();
+            (t * ramp(rows, columns)).sum()
+        };
+        let sum = weighted(mean.clone())
+            + weighted(log_variance)
+            + weighted(decoded.mean.clone())
+            + weighted(decoded.log_variance);
+        assert_eq!(mean.dims(), [batch, network.latents]);
+        let gradients = parameters.gradients(&mut sum.backward());
+        [values(mean.inner()), values(decoded.mean.inner()), gradients]
+    }
+
+    #[test]
+    fn fused_layers_are_the_composed_ones() {
+        for (activation, residual, context) in
+            [(Activation::Gelu, true, true), (Activation::Relu, false, false)]
+        {
+            // The last dilation, 8, is longer than the sequence, and that before longer than half of
+            // it; widths and rows fill no vector.
+            let mut config = small(activation, residual);
+            (config.steps, config.network.width, config.network.layers) = (7, 5, 4);
+            config.network.recognition_sees_context = context;
+            (config.network.phase_functions, config.network.recognition_parts) = (3, 2);
+            for batch in [1, 3] {
+                let [composed, fused] = [false, true].map(|f| computed(&config, f, batch));
+                for (composed, fused) in composed.iter().zip(&fused) {
+                    let scale = composed.iter().fold(1.0f32, |m, v| m.max(v.abs()));
+                    assert_eq!(composed.len(), fused.len());
+                    for (a, b) in composed.iter().zip(fused) {
+                        assert!((a - b).abs() < 1e-5 * scale, "{a} {b}");
+                    }
+                }
+            }
+        }
     }
 }

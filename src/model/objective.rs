@@ -77,6 +77,7 @@ pub struct PartGradients {
 #[derive(Debug, Clone)]
 pub struct Objective {
     networks: Networks,
+    backend: super::Backend,
     device: Device,
     model: Layout,
     adversary: Layout,
@@ -87,7 +88,8 @@ impl Objective {
     pub fn new(config: &ModelConfig, adversary_width: usize, backend: super::Backend) -> Self {
         let device = backend.device().autodiff();
         Self {
-            networks: Networks::new(config, &device),
+            networks: Networks::new(config, backend, &device),
+            backend,
             device,
             model: Layout::of_model(config),
             adversary: Layout::of_adversary(config, adversary_width),
@@ -137,7 +139,7 @@ impl Objective {
     /// The terms alone, without gradients.
     pub fn terms(&self, model: &[f32], adversary: &[f32], part: &Batch) -> Terms {
         let device = self.device.clone().inner();
-        let networks = Networks::new(&self.networks.config, &device);
+        let networks = Networks::new(&self.networks.config, self.backend, &device);
         let plain = Self { networks, device, ..self.clone() };
         let model = Parameters::new(&plain.model, model, &plain.device);
         plain.forward(&model, adversary, part).terms(part.sequences)

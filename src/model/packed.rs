@@ -452,10 +452,11 @@ mod tests {
             let batch = 3;
             let (h, w) = (ramp(batch * 3, 3), ramp(batch * 4, 4));
 
-            let device = super::super::Backend::Flex.device();
+            let backend = super::super::Backend::Flex;
+            let device = backend.device();
             let layout = Layout::of_decoder(&config);
             let flat = layout.from_weights(&weights).unwrap();
-            let decoded = Networks::new(&config, &device).decode(
+            let decoded = Networks::new(&config, backend, &device).decode(
                 &Parameters::new(&layout, &flat, &device),
                 tensor(h.clone(), [batch, 3], &device),
                 tensor(w.clone(), [batch, 4], &device),

@@ -49,7 +49,7 @@ impl Recognition for Recogniser {
     /// When a demonstration has other states or tasks than the model.
     fn recognise(&self, demonstrations: &[Demonstration]) -> Vec<Posterior> {
         let device = self.backend.device();
-        let networks = Networks::new(&self.config, &device);
+        let networks = Networks::new(&self.config, self.backend, &device);
         let parameters = Parameters::new(&self.layout, &self.flat, &device);
         let mut posteriors = Vec::with_capacity(demonstrations.len());
         for batch in demonstrations.chunks(BATCH) {

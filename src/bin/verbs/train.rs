@@ -558,6 +558,8 @@ fn keep_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         const KEPT: libc::c_int = 1 << 30;
+        // More is refused by older versions of glibc.
+        const MAPPED: libc::c_int = 32 << 20;
         const AHEAD: libc::c_int = 64 << 20;
         #[expect(
             unsafe_code,
@@ -565,7 +567,7 @@ fn keep_memory() {
         )]
         // SAFETY: mallopt takes plain numbers, and glibc guards its settings by its own lock.
         unsafe {
-            libc::mallopt(libc::M_MMAP_THRESHOLD, KEPT);
+            libc::mallopt(libc::M_MMAP_THRESHOLD, MAPPED);
             libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT);
             libc::mallopt(libc::M_TOP_PAD, AHEAD);
         }
