@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, evaluate, inspect, print_json, sample, simulate, sweep, train};
+use verbs::{ExitStatus, evaluate, inspect, print_json, report, sample, simulate, sweep, train};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -34,6 +34,8 @@ enum Verb {
     Sample(sample::SampleArgs),
     /// Measure a model on data that it was not trained on
     Evaluate(evaluate::EvaluateArgs),
+    /// Make tables and figures from trained models
+    Report(report::ReportArgs),
     /// Show what is in recordings, and why something is left out
     Inspect(inspect::InspectArgs),
 }
@@ -46,6 +48,7 @@ impl Verb {
             Self::Sweep(args) => args.json,
             Self::Sample(args) => args.json,
             Self::Evaluate(args) => args.json,
+            Self::Report(args) => args.json,
             Self::Inspect(args) => args.json,
         }
     }
@@ -57,6 +60,7 @@ impl Verb {
             Self::Sweep(args) => sweep::run(args),
             Self::Sample(args) => sample::run(args),
             Self::Evaluate(args) => evaluate::run(args),
+            Self::Report(args) => report::run(args),
             Self::Inspect(args) => inspect::run(args),
         }
     }

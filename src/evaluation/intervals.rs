@@ -6,7 +6,7 @@ use rand::{Rng, RngExt};
 /// The 97.5 % quantile of the standard normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
 /// Resamples of the bootstrap; the ends of the interval then stand on 50 resamples each.
-const RESAMPLES: usize = 2000;
+pub(super) const RESAMPLES: usize = 2000;
 
 /// A share with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,9 +43,13 @@ pub fn cluster_bootstrap<R: Rng + ?Sized>(case_shares: &[f64], rng: &mut R) -> S
     }
     let mut resample =
         |_| (0..cases).map(|_| case_shares[rng.random_range(0..cases)]).sum::<f64>() / cases as f64;
-    let mut means: Vec<f64> = (0..RESAMPLES).map(&mut resample).collect();
-    means.sort_by(f64::total_cmp);
-    let quantile = |q: f64| means[(q * (RESAMPLES - 1) as f64).round() as usize];
+    interval(mean, (0..RESAMPLES).map(&mut resample).collect())
+}
+
+/// The mean with the middle 95 % of what resampling made of it.
+pub(super) fn interval(mean: f64, mut resampled: Vec<f64>) -> Share {
+    resampled.sort_by(f64::total_cmp);
+    let quantile = |q: f64| resampled[(q * (resampled.len() - 1) as f64).round() as usize];
     Share { mean, low: quantile(0.025).min(mean), high: quantile(0.975).max(mean) }
 }
 

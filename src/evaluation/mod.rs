@@ -1,6 +1,7 @@
 //! How good a model is: SUCCESS (eq. 15), ROBUSTNESS (eq. 16), and beside them the measures
 //! without which neither means anything: active latents, reconstruction error, leak, validity.
 
+pub mod comparison;
 pub mod disentanglement;
 pub mod intervals;
 pub mod leak;
@@ -143,6 +144,18 @@ impl Default for EvaluationOptions {
     }
 }
 
+/// What came of one test case, at each threshold.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaseOutcome {
+    /// 1 where the reconstruction achieves the task, else 0.
+    pub success: Vec<f64>,
+    /// Share of the prior samples that achieve it.
+    pub robustness: Vec<f64>,
+    /// Share of the prior samples that achieve it and are inside the bounds of validity.
+    pub robust_and_valid: Vec<f64>,
+}
+
 /// Why a model can't be evaluated on data.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -195,6 +208,27 @@ pub fn evaluate<M, R>(
     splits: &Splits,
     options: &EvaluationOptions,
 ) -> Result<Evaluation, EvaluationError>
+where
+    M: MannerConditioned + ?Sized,
+    R: Recognition + ?Sized,
+{
+    Ok(evaluate_cases(model, recognition, task, splits, options)?.0)
+}
+
+/// [`evaluate`], with what came of every test case, in their order.
+///
+/// # Errors
+/// As [`evaluate`].
+///
+/// # Panics
+/// As [`evaluate`].
+pub fn evaluate_cases<M, R>(
+    model: &M,
+    recognition: &R,
+    task: &dyn Task,
+    splits: &Splits,
+    options: &EvaluationOptions,
+) -> Result<(Evaluation, Vec<CaseOutcome>), EvaluationError>
 where
     M: MannerConditioned + ?Sized,
     R: Recognition + ?Sized,
@@ -286,7 +320,16 @@ where
     let fit = encodings(recognition, fit, &active, PROBE_ENCODINGS[0], &mut rng);
     let held_out = encodings(recognition, held_out, &active, PROBE_ENCODINGS[1], &mut rng);
 
-    Ok(Evaluation {
+    let outcome = |(error, samples): (&f64, &PriorSamples)| {
+        let shares = |errors: &[f64]| thresholds.iter().map(|t| share(errors, *t)).collect();
+        CaseOutcome {
+            success: shares(std::slice::from_ref(error)),
+            robustness: shares(&samples.errors),
+            robust_and_valid: shares(&samples.valid_errors),
+        }
+    };
+    let outcomes = reconstruction_errors.iter().zip(&samples).map(outcome).collect();
+    let evaluation = Evaluation {
         success: thresholds.iter().map(success).collect(),
         robustness,
         robust_and_valid,
@@ -304,7 +347,8 @@ where
         seed: *seed,
         model_id: String::new(),
         data_digest: String::new(),
-    })
+    };
+    Ok((evaluation, outcomes))
 }
 
 /// Distances between prior samples' empirical task and their case's; infinite where there is none.

@@ -12,7 +12,9 @@ use tcvae::artifact::{Artifact, ModelDocument};
 use tcvae::demonstrations::Splits;
 use tcvae::evaluation::disentanglement::Disentanglement;
 use tcvae::evaluation::manner::{described, manner_effects};
-use tcvae::evaluation::{self, Calibration, Evaluation, EvaluationOptions, PriorScores, Score};
+use tcvae::evaluation::{
+    self, Calibration, CaseOutcome, Evaluation, EvaluationOptions, PriorScores, Score,
+};
 use tcvae::model::{Backend, Recogniser};
 
 use super::sources::Recordings;
@@ -69,6 +71,16 @@ pub(crate) fn measure(
     data_digest: String,
     seed: u64,
 ) -> anyhow::Result<Evaluation> {
+    Ok(measure_cases(artifact, splits, data_digest, seed)?.0)
+}
+
+/// [`measure`], with what came of every test case.
+pub(crate) fn measure_cases(
+    artifact: &Artifact,
+    splits: &Splits,
+    data_digest: String,
+    seed: u64,
+) -> anyhow::Result<(Evaluation, Vec<CaseOutcome>)> {
     let ModelDocument { model, normalizer, task, duration_secs, .. } = &artifact.document;
     let primitive = artifact.primitive();
     let recogniser = Recogniser::new(model, normalizer, artifact.weights(), Backend::default())?;
@@ -79,8 +91,9 @@ pub(crate) fn measure(
         ..EvaluationOptions::default()
     };
     let task = task.task();
-    let evaluation = evaluation::evaluate(&primitive, &recogniser, task, splits, &options)?;
-    Ok(Evaluation { model_id: artifact.model_id(), data_digest, ..evaluation })
+    let (evaluation, outcomes) =
+        evaluation::evaluate_cases(&primitive, &recogniser, task, splits, &options)?;
+    Ok((Evaluation { model_id: artifact.model_id(), data_digest, ..evaluation }, outcomes))
 }
 
 /// Adds to a freshly trained model what each of its manner parameters does.

@@ -2,6 +2,7 @@
 
 pub(crate) mod evaluate;
 pub(crate) mod inspect;
+pub(crate) mod report;
 pub(crate) mod sample;
 pub(crate) mod simulate;
 pub(crate) mod sources;

@@ -185,6 +185,26 @@ impl Recordings {
         }
     }
 
+    /// All demonstrations, neither split nor multiplied, with the digest of what was read: to test
+    /// on, where others were trained on.
+    pub(crate) fn demonstrations(
+        &self,
+        task: &TaskConfig,
+    ) -> anyhow::Result<(Vec<Demonstration>, String)> {
+        match self.paths.as_slice() {
+            [path] if dataset::is_data_set(path) => {
+                let dataset::DataSet { splits, digest, .. } = dataset::load(path)?;
+                let Splits { train, validation, test } = splits;
+                Ok(([train, validation, test].concat(), digest))
+            }
+            _ => {
+                let examination = self.examine_for(task.clone())?;
+                let (demonstrations, digest) = demonstrations(examination.recordings);
+                Ok((demonstrations, hex(digest)))
+            }
+        }
+    }
+
     /// Whether each recording is left out by `--only` or `--exclude`.
     fn left_out_by_user(&self, ids: &[String]) -> anyhow::Result<Vec<bool>> {
         let place = |name: &String| {
@@ -232,14 +252,7 @@ impl Examination {
     fn data(self) -> Data {
         let summary = self.summary();
         let Self { robot, task, recordings, synthetic } = self;
-        let mut digest = Sha256::new();
-        let mut demonstrations = Vec::new();
-        for Examined { id, digest: of_files, outcome, .. } in recordings {
-            if let Ok((_, demonstration)) = outcome {
-                digest.update(format!("{id} {of_files}\n"));
-                demonstrations.push(demonstration);
-            }
-        }
+        let (demonstrations, mut digest) = demonstrations(recordings);
         digest.update(serde_json::to_string(&task).expect("a task is JSON"));
         let mut rng = ChaCha8Rng::seed_from_u64(SPLIT_SEED);
         let few = demonstrations.len() < FEW_DEMONSTRATIONS;
@@ -273,7 +286,7 @@ impl Examination {
             robot: Some(RobotRecord::new(&robot.config.name, &robot.chain, robot.urdf_sha256)),
             task: TaskConfig::Pouring(task),
             splits,
-            digest: digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect(),
+            digest: hex(digest),
             source: if synthetic { DataSource::Synthetic } else { DataSource::Recorded },
             summary,
         }
@@ -314,6 +327,23 @@ impl Examination {
         }
         counts
     }
+}
+
+/// The demonstrations in recordings, with the digest of their files.
+fn demonstrations(recordings: Vec<Examined>) -> (Vec<Demonstration>, Sha256) {
+    let mut digest = Sha256::new();
+    let mut demonstrations = Vec::new();
+    for Examined { id, digest: of_files, outcome, .. } in recordings {
+        if let Ok((_, demonstration)) = outcome {
+            digest.update(format!("{id} {of_files}\n"));
+            demonstrations.push(demonstration);
+        }
+    }
+    (demonstrations, digest)
+}
+
+fn hex(digest: Sha256) -> String {
+    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// How many recordings are what.
