@@ -26,10 +26,17 @@ pub struct PrimitiveEvaluation {
     pub reconstruction_rmse: f64,
     /// Number of test cases.
     pub cases: usize,
+    /// Seed that was asked for; nothing is drawn, so another one measures the same.
+    pub seed: u64,
+    /// What tells the model from others, as in [`super::Evaluation::model_id`].
+    pub model_id: String,
+    /// SHA-256 over the data set.
+    pub data_digest: String,
 }
 
 /// Measures a primitive on `cases`, which it was not fitted to. `thresholds` are distances from the
-/// task that count as achieving it, in the task's unit; motions take `duration_secs`.
+/// task that count as achieving it, in the task's unit; motions take `duration_secs`. Seed, model
+/// and data are left for the caller.
 ///
 /// # Errors
 /// Fewer than 2 cases; cases whose states or tasks have another dimension than the primitive's.
@@ -74,6 +81,9 @@ pub fn evaluate_primitive<P: MovementPrimitive + ?Sized>(
         median_task_error: Some(errors[cases.len() / 2]).filter(|e| e.is_finite()),
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
         cases: cases.len(),
+        seed: 0,
+        model_id: String::new(),
+        data_digest: String::new(),
     })
 }
 
