@@ -1,13 +1,13 @@
 //! The model file: everything that serving, evaluating and repeating need, in one safetensors file.
 //!
-//! The tensors are the weights ([`crate::model::Layout`] names them), the baseline where the model
-//! has one, and `training.tasks`, the tasks that were trained on. The metadata holds one key,
-//! `tcvae`, with a JSON document:
+//! The tensors are `training.tasks`, the tasks that were trained on, and of a TC-VAE the weights
+//! ([`crate::model::Layout`] names them) and the baseline where it has one. The metadata holds one
+//! key, `tcvae`, with a JSON document, which also holds all of a classical primitive:
 //!
 //! ```json
-//! { "kind": "model", "format_version": 1,
+//! { "kind": "model", "format_version": 2,
 //!   "tensors_sha256": "…", "document_sha256": "…",
-//!   "document": { … } }
+//!   "document": { "learned": { "tc-vae": { … } }, … } }
 //! ```
 //!
 //! Both digests are checked on loading, so that a damaged or edited file is refused and nothing is
@@ -29,16 +29,18 @@ use serde_json::value::{RawValue, to_raw_value};
 use sha2::{Digest, Sha256};
 
 use crate::demonstrations::TaskConfig;
-use crate::evaluation::Evaluation;
+use crate::evaluation::ModelEvaluation;
 use crate::kinematics::RobotRecord;
 use crate::model::{ModelConfig, ModelError, NamedTensor, Normalizer, TcVaePrimitive, Weights};
 use crate::parameters::{MannerSpace, TaskSpace};
-use crate::pose::StateFrame;
+use crate::pose::{STATE_NAMES, StateFrame};
+use crate::primitive::MannerConditioned;
+use crate::primitives::Classical;
 use crate::serving::{Familiarity, ServedModel};
 use crate::training::{EpochReport, LatentStatistics, TrainingConfig};
 
-/// The newest format that this program reads, and the one that it writes.
-pub const FORMAT_VERSION: u32 = 1;
+/// The format that this program reads and writes.
+pub const FORMAT_VERSION: u32 = 2;
 
 /// The metadata key of the document.
 const KEY: &str = "tcvae";
@@ -49,6 +51,7 @@ const TASKS: &str = "training.tasks";
 const MOST_TASKS: usize = 1000;
 /// Larger files are no models of ours.
 const MAX_BYTES: u64 = 256 << 20;
+
 /// Why a file is not one that can be served.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -83,10 +86,10 @@ pub enum ArtifactError {
         /// What is missing.
         detail: String,
     },
-    /// The file is from a newer program.
+    /// The file is from a newer program, or from an older one.
     #[error(
-        "the file has format version {found}; this program reads versions up to {FORMAT_VERSION}; \
-         update it"
+        "the file has format version {found}; this program reads version {FORMAT_VERSION}; {}",
+        if *found > FORMAT_VERSION { "update it" } else { "train again" }
     )]
     Version {
         /// The file's version.
@@ -135,10 +138,10 @@ pub enum DataSource {
     Recorded,
 }
 
-/// All that a model file says beside its tensors.
+/// What a TC-VAE is beside its tensors, and how it came about.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ModelDocument {
+pub struct TcVaeDocument {
     /// The shape of the networks.
     pub model: ModelConfig,
     /// The settings of the training, its seed among them.
@@ -148,6 +151,41 @@ pub struct ModelDocument {
     /// The epoch whose model this is; the last one where none is named.
     #[serde(default)]
     pub selected_epoch: Option<usize>,
+    /// What h means, and what each of its values does.
+    pub manner_space: MannerSpace,
+    /// Posteriors of the validation set, one entry for each latent.
+    pub latents: Vec<LatentStatistics>,
+    /// Offsets and scales.
+    pub normalizer: Normalizer,
+}
+
+/// What was learned.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[expect(clippy::large_enum_variant, reason = "a program has one or two of them")]
+pub enum Learned {
+    /// A TC-VAE, whose weights are tensors.
+    TcVae(TcVaeDocument),
+    /// A classical primitive, all of it.
+    Classical(Classical),
+}
+
+impl Learned {
+    /// The primitive's name, as people write it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::TcVae(_) => "TC-VAE",
+            Self::Classical(classical) => classical.name(),
+        }
+    }
+}
+
+/// All that a model file says beside its tensors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelDocument {
+    /// Which primitive this is, and what it learned.
+    pub learned: Learned,
     /// Revision of the program's sources.
     pub git_revision: String,
     /// SHA-256 over the data that was trained on.
@@ -158,17 +196,11 @@ pub struct ModelDocument {
     pub training_demonstrations: usize,
     /// What w means, with the region that was trained.
     pub task_space: TaskSpace,
-    /// What h means, and what each of its values does.
-    pub manner_space: MannerSpace,
-    /// Posteriors of the validation set, one entry for each latent.
-    pub latents: Vec<LatentStatistics>,
     /// Names of the state's values.
     pub state_names: Vec<String>,
     /// Median duration of the demonstrations, at which motions are served whose model knows phases
     /// only.
     pub duration_secs: f64,
-    /// Offsets and scales.
-    pub normalizer: Normalizer,
     /// Orientation of the tip whose rotation vector is 0, as a unit quaternion (x, y, z, w); none
     /// where states are no poses.
     pub state_reference_xyzw: Option<[f64; 4]>,
@@ -177,7 +209,7 @@ pub struct ModelDocument {
     /// The robot; none where states are no poses.
     pub robot: Option<RobotRecord>,
     /// The measured quality.
-    pub evaluation: Option<Evaluation>,
+    pub evaluation: Option<ModelEvaluation>,
 }
 
 /// A model file's content.
@@ -185,12 +217,13 @@ pub struct ModelDocument {
 pub struct Artifact {
     /// The document.
     pub document: ModelDocument,
-    /// The weights, the baseline and the tasks that were trained on.
+    /// The tasks that were trained on; the weights and the baseline, if any.
     tensors: Weights,
 }
 
 impl Artifact {
-    /// A model with the tasks that it was trained on, in the order of the task space.
+    /// A model with the tasks that it was trained on, in the order of the task space. Those of a
+    /// classical primitive are its only tensor, so it has no weights.
     ///
     /// # Errors
     /// Parts that don't fit together.
@@ -201,7 +234,7 @@ impl Artifact {
     ) -> Result<Self, ArtifactError> {
         let mut tensors = weights;
         let values = training_tasks.iter().flatten().map(|v| *v as f32).collect();
-        let shape = vec![training_tasks.len(), document.model.task_dim];
+        let shape = vec![training_tasks.len(), document.task_space.dim()];
         tensors.insert(TASKS.into(), NamedTensor { shape, values });
         Self { document, tensors }.checked()
     }
@@ -239,13 +272,22 @@ impl Artifact {
         write(path, &bytes)
     }
 
-    /// What tells this model from others: the first 12 digits of the SHA-256 over its tensors.
+    /// What tells this model from others: the first 12 digits of the SHA-256 over what it learned,
+    /// the tensors and all of a classical primitive.
     pub fn model_id(&self) -> String {
-        tensors_digest(&self.tensors)[..12].to_owned()
+        let tensors = tensors_digest(&self.tensors);
+        let digest = match &self.document.learned {
+            Learned::TcVae(_) => tensors,
+            Learned::Classical(classical) => {
+                let parts = serde_json::to_string(classical).expect("a primitive is JSON");
+                hex(&Sha256::digest(tensors + &parts))
+            }
+        };
+        digest[..12].to_owned()
     }
 
-    /// The model as a movement primitive.
-    pub fn primitive(&self) -> TcVaePrimitive {
+    /// The model as a movement primitive; a classical one has no manner parameters.
+    pub fn primitive(&self) -> Box<dyn MannerConditioned + Send + Sync> {
         self.build().expect("checked when it was made")
     }
 
@@ -272,8 +314,8 @@ impl Artifact {
             evaluation_json: serde_json::to_string(&document.evaluation)
                 .expect("an evaluation is JSON"),
             synthetic_data: document.data_source == DataSource::Synthetic,
-            familiarity: Familiarity::new(tasks, &primitive),
-            primitive: Box::new(primitive),
+            familiarity: Familiarity::new(tasks, &*primitive),
+            primitive,
         })
     }
 
@@ -284,31 +326,58 @@ impl Artifact {
 
     /// The tasks that were trained on, in the order and unit of the task space.
     pub fn training_tasks(&self) -> impl ExactSizeIterator<Item = &[f32]> {
-        self.tensors[TASKS].values.chunks_exact(self.document.model.task_dim)
+        self.tensors[TASKS].values.chunks_exact(self.document.task_space.dim())
     }
 
-    fn build(&self) -> Result<TcVaePrimitive, ModelError> {
-        let ModelDocument { model, normalizer, task_space, manner_space, .. } = &self.document;
-        let (task_space, manner_space) = (task_space.clone(), manner_space.clone());
-        TcVaePrimitive::new(model, normalizer, &self.tensors, task_space, manner_space)
+    fn build(&self) -> Result<Box<dyn MannerConditioned + Send + Sync>, ModelError> {
+        let ModelDocument { learned, task_space, .. } = &self.document;
+        match learned {
+            Learned::TcVae(TcVaeDocument { model, normalizer, manner_space, .. }) => {
+                let (task_space, manner_space) = (task_space.clone(), manner_space.clone());
+                let primitive = TcVaePrimitive::new(
+                    model,
+                    normalizer,
+                    &self.tensors,
+                    task_space,
+                    manner_space,
+                )?;
+                Ok(Box::new(primitive))
+            }
+            Learned::Classical(classical) => Ok(Box::new(classical.clone())),
+        }
     }
 
     fn checked(self) -> Result<Self, ArtifactError> {
-        self.build()?;
-        let ModelDocument { model, state_names, latents, duration_secs, .. } = &self.document;
+        let primitive = self.build()?;
+        let ModelDocument { learned, task_space, state_names, duration_secs, .. } = &self.document;
         let document = |detail| Err(ArtifactError::Document { detail });
-        if state_names.len() != model.motion_dim() {
+        if task_space.dim() == 0 {
+            return document("a task space without locations".into());
+        }
+        if primitive.task_space() != task_space {
+            let [ours, its] = [task_space, primitive.task_space()].map(|s| s.value_names());
             return document(format!(
-                "{} state names for {} state values",
-                state_names.len(),
-                model.motion_dim()
+                "the task space ({}) is not that of the primitive ({})",
+                ours.join(", "),
+                its.join(", ")
             ));
         }
-        if latents.len() != model.network.latents {
+        let state_dim = primitive.state_dim();
+        if state_names.len() != state_dim {
+            let named = state_names.len();
+            return document(format!("{named} state names for {state_dim} state values"));
+        }
+        if self.document.state_reference_xyzw.is_some() && *state_names != STATE_NAMES {
+            let names = state_names.join(", ");
+            return document(format!("a reference orientation for the states {names}"));
+        }
+        if let Learned::TcVae(TcVaeDocument { latents, .. }) = learned
+            && latents.len() != primitive.manner_space().dim()
+        {
             return document(format!(
                 "statistics of {} latents where the model has {}",
                 latents.len(),
-                model.network.latents
+                primitive.manner_space().dim()
             ));
         }
         if !(duration_secs.is_finite() && *duration_secs > 0.0) {
@@ -316,7 +385,7 @@ impl Artifact {
         }
         match self.tensors.get(TASKS) {
             Some(NamedTensor { shape, values })
-                if matches!(shape[..], [_, dim] if dim == model.task_dim)
+                if matches!(shape[..], [_, dim] if dim == task_space.dim())
                     && values.iter().all(|v| v.is_finite()) =>
             {
                 Ok(self)
@@ -375,7 +444,7 @@ pub fn decode<D: DeserializeOwned>(
     let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY));
     let text = text.ok_or_else(|| foreign(format!("its metadata has no {KEY:?}")))?;
 
-    // Kind and version come first: a newer version may have another document.
+    // Kind and version come first: another version has another document.
     #[derive(Deserialize)]
     struct Kind {
         kind: String,
@@ -385,7 +454,7 @@ pub fn decode<D: DeserializeOwned>(
     if found.kind != kind {
         return Err(foreign(format!("it is a {}", found.kind)));
     }
-    if found.format_version > FORMAT_VERSION {
+    if found.format_version != FORMAT_VERSION {
         return Err(ArtifactError::Version { found: found.format_version });
     }
     let unreadable = |e: serde_json::Error| ArtifactError::Document { detail: e.to_string() };
@@ -483,6 +552,9 @@ mod tests {
     use super::*;
     use crate::demonstrations::arcs::{ArcStart, ArcsTask};
     use crate::model::{Layout, NetworkConfig};
+    use crate::parameters::TaskParameters;
+    use crate::primitive::MovementPrimitive;
+    use crate::primitives::classical;
 
     fn artifact() -> Artifact {
         let network = NetworkConfig { width: 4, ..NetworkConfig::default() };
@@ -490,33 +562,49 @@ mod tests {
         let layout = Layout::of_model(&model);
         let values = layout.initial(&mut ChaCha8Rng::seed_from_u64(1));
         let statistics = LatentStatistics { mean: 0.1, stddev: 0.9, variance: 0.2, kl: 1.3 };
-        let document = ModelDocument {
+        let learned = Learned::TcVae(TcVaeDocument {
             training: TrainingConfig::default(),
             last_epoch: None,
             selected_epoch: None,
-            git_revision: "0123abc".into(),
-            data_digest: "00".into(),
-            data_source: DataSource::Synthetic,
-            training_demonstrations: 2,
-            task_space: ArcsTask::task_space(),
             manner_space: MannerSpace::unnamed(model.network.latents, 3.0),
             latents: vec![statistics; model.network.latents],
-            state_names: vec!["x".into(), "y".into()],
-            duration_secs: 1.0,
             normalizer: Normalizer {
                 state_offset: vec![0.1, 1.0 / 3.0],
                 state_scale: vec![0.3, 0.7],
                 task_offset: vec![0.5; 2],
                 task_scale: vec![0.29; 2],
             },
+            model,
+        });
+        let tasks = [vec![0.25, 0.5], vec![0.75, 0.125]];
+        let document = document(learned, ArcsTask::task_space(), &["x", "y"]);
+        Artifact::new(document, layout.to_weights(&values), &tasks).unwrap()
+    }
+
+    fn document(learned: Learned, task_space: TaskSpace, state_names: &[&str]) -> ModelDocument {
+        ModelDocument {
+            learned,
+            git_revision: "0123abc".into(),
+            data_digest: "00".into(),
+            data_source: DataSource::Synthetic,
+            training_demonstrations: 2,
+            task_space,
+            state_names: state_names.iter().map(|name| name.to_string()).collect(),
+            duration_secs: 1.0,
             state_reference_xyzw: None,
             task: TaskConfig::Arcs(ArcsTask::new(ArcStart::Half)),
             robot: None,
             evaluation: None,
-            model,
-        };
-        let tasks = [vec![0.25, 0.5], vec![0.75, 0.125]];
-        Artifact::new(document, layout.to_weights(&values), &tasks).unwrap()
+        }
+    }
+
+    /// A model of each classical primitive.
+    fn classical() -> [Artifact; 3] {
+        classical::tests::all().map(|primitive| {
+            let space = primitive.task_space().clone();
+            let document = document(Learned::Classical(primitive), space, &["x", "y", "z"]);
+            Artifact::new(document, Weights::new(), &[vec![0.1, 0.2, 0.3, 0.4]]).unwrap()
+        })
     }
 
     #[test]
@@ -533,6 +621,58 @@ mod tests {
         {
             use std::os::unix::fs::PermissionsExt;
             assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o644);
+        }
+    }
+
+    #[test]
+    fn a_saved_classical_model_is_the_model_that_is_loaded() {
+        let mut ids = Vec::new();
+        for artifact in classical() {
+            let bytes = artifact.to_bytes();
+            let loaded = Artifact::from_bytes(&bytes).unwrap();
+            assert_eq!(loaded, artifact);
+            assert_eq!(loaded.to_bytes(), bytes);
+            let (saved, read) = (artifact.primitive(), loaded.primitive());
+            let w = TaskParameters::new(saved.task_space(), vec![0.1, 0.2, -0.1, 0.3]).unwrap();
+            assert_eq!(read.generate(&w), saved.generate(&w));
+            // All three have the same tensors, and are told apart nevertheless.
+            ids.push(loaded.model_id());
+        }
+        assert!(ids[0] != ids[1] && ids[0] != ids[2] && ids[1] != ids[2], "{ids:?}");
+    }
+
+    #[test]
+    fn a_damaged_or_crafted_classical_model_is_refused_with_a_reason() {
+        for Artifact { document, tensors } in classical() {
+            let bytes = encode(&tensors, "model", &document);
+            for end in [bytes.len() / 2, bytes.len() - 1] {
+                let error = Artifact::from_bytes(&bytes[..end]).unwrap_err();
+                assert!(matches!(error, ArtifactError::Damaged { .. }), "{end}: {error}");
+            }
+            let whole = serde_json::to_value(&document).unwrap();
+            let Learned::Classical(primitive) = &document.learned else { panic!() };
+            let parts = serde_json::to_value(primitive).unwrap();
+            let kind = parts.as_object().unwrap().keys().next().unwrap();
+            let parts = format!("/learned/classical/{kind}/parts");
+            // With digests that fit, so that only what the parts say is wrong.
+            let refused = |pointer: &str, by: serde_json::Value| {
+                let mut crafted = whole.clone();
+                *crafted.pointer_mut(pointer).unwrap() = by;
+                let bytes = encode(&tensors, "model", &crafted);
+                Artifact::from_bytes(&bytes).unwrap_err().to_string()
+            };
+            let error = refused(&format!("{parts}/steps"), 1.into());
+            let reason = format!("the stored {} does not fit together", primitive.name());
+            assert!(error.contains(&reason), "{error}");
+            let error = refused(&format!("{parts}/task_space/locations/0/name"), "cup".into());
+            assert!(error.contains("is not that of the primitive (cup.x"), "{error}");
+            let error = refused("/state_names", serde_json::json!(["x", "y"]));
+            assert!(error.contains("2 state names for 3 state values"), "{error}");
+            let reference = serde_json::json!([0.0, 0.0, 0.0, 1.0]);
+            let error = refused("/state_reference_xyzw", reference);
+            assert!(error.contains("a reference orientation for the states x, y, z"), "{error}");
+            let missing = Artifact::from_bytes(&encode(&Weights::new(), "model", &document));
+            assert!(missing.unwrap_err().to_string().contains("training.tasks is missing"));
         }
     }
 
@@ -578,20 +718,27 @@ mod tests {
     fn a_file_from_before_a_setting_existed_is_read() {
         let Artifact { document, tensors } = artifact();
         let mut older = serde_json::to_value(&document).unwrap();
-        let network = older["model"]["network"].as_object_mut().unwrap();
+        let network = older["learned"]["tc-vae"]["model"]["network"].as_object_mut().unwrap();
         assert!(network.remove("margins").is_some());
         let read = Artifact::from_bytes(&encode(&tensors, "model", &older)).unwrap();
         assert_eq!(read.document, document);
     }
 
     #[test]
-    fn a_newer_format_is_refused_with_both_versions() {
-        let bytes =
-            edited(&artifact().to_bytes(), r#""format_version":1"#, r#""format_version":9"#);
-        assert_eq!(
-            Artifact::from_bytes(&bytes).unwrap_err().to_string(),
-            "the file has format version 9; this program reads versions up to 1; update it"
-        );
+    fn another_format_is_refused_with_both_versions_and_what_to_do() {
+        for (version, remedy) in [(9, "update it"), (1, "train again")] {
+            let bytes = edited(
+                &artifact().to_bytes(),
+                r#""format_version":2"#,
+                &format!(r#""format_version":{version}"#),
+            );
+            assert_eq!(
+                Artifact::from_bytes(&bytes).unwrap_err().to_string(),
+                format!(
+                    "the file has format version {version}; this program reads version 2; {remedy}"
+                )
+            );
+        }
     }
 
     #[test]
@@ -622,13 +769,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.safetensors");
         let mut artifact = artifact();
-        artifact.document.latents[0].kl = f64::NAN;
+        let Learned::TcVae(model) = &mut artifact.document.learned else { panic!() };
+        model.latents[0].kl = f64::NAN;
         assert!(matches!(artifact.save(&path), Err(ArtifactError::Document { .. })));
         assert!(!path.exists());
     }
 
     #[test]
-    fn the_id_is_that_of_the_tensors() {
+    fn the_id_of_a_network_is_that_of_its_tensors() {
         let mut artifact = artifact();
         let id = artifact.model_id();
         artifact.document.duration_secs = 2.0;

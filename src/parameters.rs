@@ -221,6 +221,11 @@ impl MannerSpace {
         Self { axes: (0..dim).map(axis).collect() }
     }
 
+    /// The space of a primitive without manner parameters.
+    pub const fn none() -> Self {
+        Self { axes: Vec::new() }
+    }
+
     /// The axes, in the order of their values in `h`.
     pub fn axes(&self) -> &[MannerAxis] {
         &self.axes
@@ -238,7 +243,10 @@ impl MannerSpace {
     pub fn index(&self, name: &str) -> Result<usize, ParameterError> {
         self.axes.iter().position(|a| a.name == name).ok_or_else(|| ParameterError::Unknown {
             name: name.into(),
-            known: self.names().join(", "),
+            known: match self.axes.as_slice() {
+                [] => "none, as the primitive has no manner parameters".into(),
+                _ => self.names().join(", "),
+            },
         })
     }
 

@@ -1,21 +1,17 @@
 //! `tcvae simulate arcs`, then what is done with its folder.
 #![cfg(feature = "train")]
 
+mod support;
+
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use serde_json::Value;
 use tcvae::artifact::Artifact;
-use tcvae::evaluation::{Evaluation, Score};
+use tcvae::evaluation::{Evaluation, ModelEvaluation, Score};
 
-fn tcvae(args: &[&str], folder: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_tcvae"))
-        .args(args)
-        .current_dir(folder)
-        .output()
-        .expect("it runs")
-}
+use support::tcvae;
 
 fn stdout(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).expect("UTF-8")
@@ -183,12 +179,13 @@ fn arcs_are_simulated_trained_on_and_evaluated_by_one_seed() {
 
     // The model file holds the same evaluation, and another seed draws other samples.
     let artifact = Artifact::load(&folder.join("a/model.safetensors")).unwrap();
-    let stored = serde_json::to_value(artifact.document.evaluation.unwrap()).unwrap();
+    let stored = serde_json::to_value(artifact.document.evaluation.as_ref().unwrap()).unwrap();
     assert_eq!(stored, answer);
     let other: Value = serde_json::from_str(&evaluate(&["--json", "--seed", "1"])).unwrap();
     assert_eq!(other["success"], answer["success"]);
     assert_ne!(other["robust_and_valid"], answer["robust_and_valid"]);
-    let effects = artifact.document.manner_space.axes().iter().map(|a| a.effect.as_str());
+    let primitive = artifact.primitive();
+    let effects = primitive.manner_space().axes().iter().map(|a| a.effect.as_str());
     assert!(effects.clone().all(|e| e != "not measured"), "{:?}", effects.collect::<Vec<_>>());
 
     // A person reads every measure.
@@ -208,7 +205,7 @@ fn the_shipped_model_scores_what_its_file_says_and_what_was_asked() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let measured: Evaluation = serde_json::from_str(&stdout(&output)).unwrap();
     let document = Artifact::load(Path::new(model)).unwrap().document;
-    let stored = document.evaluation.unwrap();
+    let stored = document.evaluation.as_ref().and_then(ModelEvaluation::tc_vae).unwrap();
 
     assert_eq!(
         (&measured.model_id, &measured.data_digest),

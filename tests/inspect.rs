@@ -1,20 +1,15 @@
 //! `tcvae simulate pouring`, then `tcvae inspect`: the answer is the truth that was planted.
 #![cfg(feature = "train")]
 
+mod support;
+
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use serde_json::Value;
 
-fn tcvae(args: &[&str], folder: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_tcvae"))
-        .args(args)
-        .current_dir(folder)
-        .output()
-        .expect("it runs")
-}
+use support::tcvae;
 
 fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).expect("the answer is JSON")

@@ -1,22 +1,17 @@
 //! From recordings of pouring to a model file, in two commands.
 #![cfg(feature = "train")]
 
+mod support;
+
 use std::fs;
-use std::path::Path;
-use std::process::{Command, Output};
 
 use serde_json::Value;
 use tcvae::artifact::{Artifact, DataSource};
 use tcvae::demonstrations::TaskConfig;
+use tcvae::evaluation::ModelEvaluation;
 use tcvae::urdf;
 
-fn tcvae(args: &[&str], folder: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_tcvae"))
-        .args(args)
-        .current_dir(folder)
-        .output()
-        .expect("it runs")
-}
+use support::tcvae;
 
 const TRAIN: &[&str] = &[
     "train",
@@ -75,7 +70,8 @@ fn recordings_become_a_model_file_that_says_all_about_itself() {
     assert_eq!(robot.configurations.len(), 20);
     let baxter = urdf::chain(include_str!("../config/baxter.urdf"), "base", "left_gripper");
     robot.check(&baxter.expect("Baxter")).expect("the model's robot is Baxter");
-    let evaluation = document.evaluation.as_ref().expect("it was measured");
+    let evaluation = document.evaluation.as_ref().and_then(ModelEvaluation::tc_vae);
+    let evaluation = evaluation.expect("it was measured");
     assert_eq!((evaluation.cases, evaluation.success[1].threshold), (6, 0.02));
 
     // The fifth that was held out is what `evaluate` tests on, with the same result.

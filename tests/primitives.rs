@@ -179,7 +179,7 @@ fn a_task_parameterised_mixture_is_the_one_of_the_papers_equations() {
         // Every step is taken, whatever it gains.
         tolerance: -1.0,
         regularization: golden.regularization,
-        alignment_window: 0.0,
+        ..TpGmmConfig::default()
     };
     let motions: Vec<Trajectory> = golden.motions.iter().map(trajectory).collect();
     let demonstrated: Vec<_> = golden.frames.iter().map(frames).collect();
@@ -290,7 +290,7 @@ fn fits_and_rollouts_are_those_of_movement_primitives_dmp() {
     for case in golden_dmps().vectors {
         println!("{}", case.name);
         let GoldenDmp { basis_functions, ridge, smooth_scaling, .. } = case;
-        let config = DmpConfig { basis_functions, ridge, smooth_scaling, alignment_window: 0.0 };
+        let config = DmpConfig { basis_functions, ridge, smooth_scaling, ..DmpConfig::default() };
         let dmp = Dmp::fit(&config, &trajectory(&case.motion)).expect("a ridge");
         assert_close(dmp.weights.as_slice(), matrix(&case.weights).as_slice(), 1e-6);
         let steps = case.motion.len();
@@ -308,7 +308,7 @@ fn fits_and_rollouts_are_those_of_movement_primitives_cartesian_dmp() {
     for case in golden_dmps().orientations {
         println!("{}", case.name);
         let GoldenOrientationDmp { basis_functions, ridge, smooth_scaling, .. } = case;
-        let config = DmpConfig { basis_functions, ridge, smooth_scaling, alignment_window: 0.0 };
+        let config = DmpConfig { basis_functions, ridge, smooth_scaling, ..DmpConfig::default() };
         let orientations: Vec<_> = case.quaternions_wxyz.into_iter().map(quaternion).collect();
         let dmp = OrientationDmp::fit(&config, &orientations).expect("a ridge");
         assert_close(dmp.weights.as_slice(), matrix(&case.weights).as_slice(), 1e-6);

@@ -81,11 +81,11 @@ fn on_simulated_pours_the_linear_ones_pour_where_they_are_told() {
     let config = TaskConfig::Pouring(task);
     let train = &splits.train;
 
-    let tp_gmm = |config: TpGmmConfig| TpGmm::fit(&config, &space, 100, train).unwrap();
+    let tp_gmm = |config: TpGmmConfig| TpGmm::fit(&config, &space, train).unwrap();
     let blended = measured("TP-GMM", &config, &splits, || Box::new(tp_gmm(TpGmmConfig::default())));
     assert!(means(&blended.success)[2] > 0.9);
 
-    let promp = |config: ProMpConfig| ProMp::fit(&config, &space, 100, train).unwrap();
+    let promp = |config: ProMpConfig| ProMp::fit(&config, &space, train).unwrap();
     let default = measured("ProMP", &config, &splits, || Box::new(promp(ProMpConfig::default())));
     assert!(means(&default.success_and_valid)[0] > 0.9);
     assert!(default.median_task_error.unwrap() < 0.004);
@@ -94,7 +94,7 @@ fn on_simulated_pours_the_linear_ones_pour_where_they_are_told() {
     // Manners vary: nobody can repeat a demonstration from its task alone.
     assert!((0.05..0.4).contains(&default.reconstruction_rmse));
 
-    let dmp = |config: DmpConfig| DmpPrimitive::fit(&config, &space, 100, train).unwrap();
+    let dmp = |config: DmpConfig| DmpPrimitive::fit(&config, &space, train).unwrap();
     let default = measured("DMP", &config, &splits, || Box::new(dmp(DmpConfig::default())));
     assert!(means(&default.success_and_valid)[0] > 0.9);
     // The spring follows a new goal too late for the pour.
@@ -115,7 +115,8 @@ fn on_arcs_a_mean_motion_is_centred_beside_its_task_and_always_as_far() {
     let splits = simulate(&simulation, &mut ChaCha8Rng::seed_from_u64(7)).splits;
     let (space, config) = (ArcsTask::task_space(), TaskConfig::Arcs(ArcsTask::default()));
     let train = &splits.train;
-    let unaligned = TpGmmConfig { components: 10, alignment_window: 0.0, ..TpGmmConfig::default() };
+    let unaligned =
+        TpGmmConfig { steps: 32, components: 10, alignment_window: 0.0, ..TpGmmConfig::default() };
     let check = |name: &str, fit: &dyn Fn() -> Box<dyn MovementPrimitive>| {
         let evaluation = measured(name, &config, &splits, fit);
         // The mean of arcs of all manners is an arc of a circle beside theirs.
@@ -125,12 +126,13 @@ fn on_arcs_a_mean_motion_is_centred_beside_its_task_and_always_as_far() {
         assert!(first < 0.05 && last > 0.95, "{first} {last}");
         assert!((0.15..0.3).contains(&evaluation.reconstruction_rmse));
     };
-    let (promp, dmp) = (ProMpConfig::default(), DmpConfig::default());
-    check("TP-GMM", &|| Box::new(TpGmm::fit(&unaligned, &space, 32, train).unwrap()));
-    check("ProMP", &|| Box::new(ProMp::fit(&promp, &space, 32, train).unwrap()));
-    check("DMP", &|| Box::new(DmpPrimitive::fit(&dmp, &space, 32, train).unwrap()));
+    let promp = ProMpConfig { steps: 32, ..ProMpConfig::default() };
+    let dmp = DmpConfig { steps: 32, ..DmpConfig::default() };
+    check("TP-GMM", &|| Box::new(TpGmm::fit(&unaligned, &space, train).unwrap()));
+    check("ProMP", &|| Box::new(ProMp::fit(&promp, &space, train).unwrap()));
+    check("DMP", &|| Box::new(DmpPrimitive::fit(&dmp, &space, train).unwrap()));
     // With one frame every task's motion is the same one, moved.
-    let tp_gmm = TpGmm::fit(&unaligned, &space, 32, train).unwrap();
+    let tp_gmm = TpGmm::fit(&unaligned, &space, train).unwrap();
     let error = |case: &Demonstration| {
         let states = tp_gmm.generate(&case.w).mean;
         let motion = Motion { states, duration_secs: 1.0 };

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::rngs::ChaCha8Rng;
 use rand::{Rng, RngExt, SeedableRng};
+use tcvae::demonstrations::Demonstration;
 use tcvae::demonstrations::pouring::PouringTask;
 use tcvae::kinematics::{Chain, RobotRecord};
 use tcvae::parameters::{
@@ -13,9 +14,10 @@ use tcvae::parameters::{
 };
 use tcvae::pose::StateFrame;
 use tcvae::primitive::{Generated, MannerConditioned, MovementPrimitive};
+use tcvae::primitives::{Classical, ClassicalConfig, DmpConfig, ProMpConfig, TpGmmConfig};
 use tcvae::serving::{
     ErrorCode, Familiarity, GivenLocation, MannerMode, OutOfDistribution, PrimitiveServer, RankBy,
-    Robot, Sample, SampleRequest, ServedModel, Settings,
+    Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings,
 };
 use tcvae::trajectory::{JointTrajectory, Trajectory};
 
@@ -431,4 +433,73 @@ fn loading_a_model_keeps_the_task_and_the_manner_of_the_same_names() {
     server.load_model(Arc::new(model(0.0))).unwrap();
     assert_eq!(server.manner(), [0.0, 1.0]);
     one(&server, &SampleRequest::default());
+}
+
+/// Each classical primitive, fitted to pours of the model's own primitive.
+fn classical() -> [Classical; 3] {
+    let shown = model(0.0).primitive;
+    let space = shown.task_space().clone();
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let intervals = space.intervals();
+    let demonstration = |n: usize| {
+        let w = intervals.iter().map(|i| rng.random_range(i.lower..i.upper)).collect();
+        let w = TaskParameters::new(&space, w).unwrap();
+        let h = shown.sample_manner(&mut rng);
+        let motion = shown.decode(&w, &h).motion(8.0);
+        Demonstration { id: n.to_string(), w, motion, events: Vec::new() }
+    };
+    let demonstrations: Vec<_> = (0..40).map(demonstration).collect();
+    [
+        ClassicalConfig::TpGmm(TpGmmConfig::default()),
+        ClassicalConfig::ProMp(ProMpConfig::default()),
+        ClassicalConfig::Dmp(DmpConfig::default()),
+    ]
+    .map(|config| config.fit(&space, &demonstrations).unwrap())
+}
+
+#[test]
+fn a_classical_primitive_is_served_with_its_one_motion_and_no_manner() {
+    for primitive in classical() {
+        let name = primitive.name();
+        let mut server = serving(ServedModel { primitive: Box::new(primitive), ..model(0.0) });
+        let description = server.describe();
+        assert_eq!((description.manner.len(), description.manner_values.len()), (0, 0));
+
+        let asked = SampleRequest { count: 3, sample_manner: true, ..request() };
+        let SampleReply { samples, refusal, .. } = server.sample(&asked, 0.0);
+        assert_eq!(refusal, None, "{name}");
+        for sample in &samples {
+            assert_eq!(sample.joint_trajectory, samples[0].joint_trajectory);
+            assert_eq!((sample.tries, sample.manner_names.len()), (1, 0));
+            assert!(sample.task_error < 0.02, "{name}: {}", sample.task_error);
+        }
+
+        let unknown = server.set_manner(&["h1".into()], &[0.0], false).unwrap_err();
+        assert_eq!(unknown.code, ErrorCode::MannerUnknown);
+        let told = "the primitive has no manner parameters";
+        assert!(unknown.message.contains(told), "{}", unknown.message);
+        let asked = SampleRequest {
+            manner_names: vec!["h1".into()],
+            manner_values: vec![0.0],
+            ..request()
+        };
+        assert_eq!(self::refusal(&server, &asked).0, ErrorCode::MannerUnknown);
+
+        // With nothing to draw, what fails once is not tried again.
+        let far = SampleRequest { allow_out_of_distribution: true, ..pour_at(2.0, 0.3) };
+        let (_, message) = self::refusal(&server, &far);
+        assert!(!message.contains("draws passed"), "{name}: {message}");
+        // Whatever is asked for, it is answered.
+        for x in [1e300, -1e300] {
+            let far = SampleRequest { allow_out_of_distribution: true, ..pour_at(x, 0.3) };
+            self::refusal(&server, &far);
+        }
+    }
+}
+
+#[test]
+fn every_manner_of_a_primitive_without_any_is_as_familiar_as_can_be() {
+    let [primitive, ..] = classical();
+    let familiarity = Familiarity::new(Vec::new(), &primitive);
+    assert_eq!(familiarity.manner(&[]), 1.0);
 }

@@ -1,21 +1,16 @@
 //! `tcvae sweep`: shared work, resumed work, and a choice that only the validation set makes.
 #![cfg(feature = "train")]
 
+mod support;
+
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use serde_json::Value;
 use tcvae::artifact::Artifact;
 use tcvae::training::TrainingConfig;
 
-fn tcvae(args: &[&str], directory: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_tcvae"))
-        .args(args)
-        .current_dir(directory)
-        .output()
-        .expect("tcvae runs")
-}
+use support::tcvae;
 
 const SWEEP: &str = r#"
 data = ["arcs"]

@@ -1,21 +1,25 @@
 //! `tcvae train` as its users see it.
 #![cfg(feature = "train")]
 
+mod support;
+
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use tcvae::artifact::Artifact;
+use tcvae::artifact::{Artifact, Learned};
 
-fn tcvae(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tcvae"));
-    command.args(args).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
+use support::{command, tcvae};
 
 fn run(args: &[&str]) -> Output {
-    tcvae(args).output().expect("the program starts")
+    tcvae(args, Path::new("."))
+}
+
+/// The program, running, with its output kept.
+fn start(args: &[&str]) -> Child {
+    let mut command = command(args, Path::new("."));
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts")
 }
 
 #[track_caller]
@@ -68,7 +72,8 @@ fn one_seed_gives_one_file_and_the_file_says_how_it_was_made() {
     assert_eq!(fs::read(&a).unwrap(), fs::read(&b).unwrap());
 
     let Artifact { document, .. } = Artifact::load(Path::new(&a)).unwrap();
-    assert_eq!((document.training.seed, document.training.epochs), (4, 6));
+    let Learned::TcVae(model) = &document.learned else { panic!("{:?}", document.learned) };
+    assert_eq!((model.training.seed, model.training.epochs), (4, 6));
     assert_eq!(document.training_demonstrations, 48);
     assert_eq!(document.state_names, ["x", "y"]);
     let center = &document.task_space.locations()[0];
@@ -97,7 +102,7 @@ fn an_interrupted_training_that_is_resumed_gives_the_same_file() {
 
     // Stopped after its first epoch.
     let metrics = folder.path().join("cut/m.metrics.jsonl");
-    let child = tcvae(&train(&arcs, &cut, &[])).spawn().unwrap();
+    let child = start(&train(&arcs, &cut, &[]));
     let began = Instant::now();
     while lines(&metrics) < 1 && began.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(1));
@@ -158,7 +163,7 @@ fn a_second_training_into_one_folder_is_refused() {
     let folder = folder();
     let (arcs, first, second) =
         (path(&folder, "arcs"), path(&folder, "o/a.safetensors"), path(&folder, "o/b.safetensors"));
-    let mut child = tcvae(&train(&arcs, &first, &["--set", "epochs=100000"])).spawn().unwrap();
+    let mut child = start(&train(&arcs, &first, &["--set", "epochs=100000"]));
     let metrics = folder.path().join("o/a.metrics.jsonl");
     let began = Instant::now();
     while lines(&metrics) < 1 && began.elapsed() < Duration::from_secs(60) {

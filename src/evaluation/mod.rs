@@ -10,7 +10,7 @@ pub mod manner;
 mod oracles;
 mod primitive;
 
-pub use primitive::{PrimitiveEvaluation, evaluate_primitive};
+pub use primitive::{PrimitiveEvaluation, evaluate_primitive, evaluate_primitive_cases};
 
 use std::collections::BTreeMap;
 
@@ -88,10 +88,40 @@ pub struct Evaluation {
     pub cases: usize,
     /// Seed of every random draw of the evaluation.
     pub seed: u64,
-    /// The model that was evaluated: the first 12 digits of the SHA-256 over its tensors.
+    /// The model that was evaluated: the first 12 digits of the SHA-256 over what it learned.
     pub model_id: String,
     /// SHA-256 over the data set.
     pub data_digest: String,
+}
+
+/// The measured quality of a model of either kind: what there is to measure depends on whether it
+/// has manner parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+#[expect(clippy::large_enum_variant, reason = "a program has one or two of them")]
+pub enum ModelEvaluation {
+    /// Of a TC-VAE.
+    TcVae(Evaluation),
+    /// Of a classical primitive, which has no manner parameters.
+    Classical(PrimitiveEvaluation),
+}
+
+impl ModelEvaluation {
+    /// The evaluation of a TC-VAE; none of another primitive.
+    pub fn tc_vae(&self) -> Option<&Evaluation> {
+        match self {
+            Self::TcVae(evaluation) => Some(evaluation),
+            Self::Classical(_) => None,
+        }
+    }
+
+    /// The evaluation of a classical primitive; none of a TC-VAE.
+    pub fn classical(&self) -> Option<&PrimitiveEvaluation> {
+        match self {
+            Self::Classical(evaluation) => Some(evaluation),
+            Self::TcVae(_) => None,
+        }
+    }
 }
 
 /// How well predicted deviations fit errors: those of the reconstructions from the posterior means,
@@ -144,7 +174,7 @@ impl Default for EvaluationOptions {
     }
 }
 
-/// What came of one test case, at each threshold.
+/// What came of one test case, at each threshold; of a primitive without manner, whether it succeeds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CaseOutcome {

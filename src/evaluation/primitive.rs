@@ -3,7 +3,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{EvaluationError, Score, check_same, intervals, mean_square_difference, score, share};
+use super::{
+    CaseOutcome, EvaluationError, Score, check_same, intervals, mean_square_difference, score,
+    share,
+};
 use crate::demonstrations::{Demonstration, Task};
 use crate::primitive::MovementPrimitive;
 use crate::trajectory::Motion;
@@ -26,10 +29,17 @@ pub struct PrimitiveEvaluation {
     pub reconstruction_rmse: f64,
     /// Number of test cases.
     pub cases: usize,
+    /// Seed that was asked for; nothing is drawn, so another one measures the same.
+    pub seed: u64,
+    /// What tells the model from others, as in [`super::Evaluation::model_id`].
+    pub model_id: String,
+    /// SHA-256 over the data set.
+    pub data_digest: String,
 }
 
 /// Measures a primitive on `cases`, which it was not fitted to. `thresholds` are distances from the
-/// task that count as achieving it, in the task's unit; motions take `duration_secs`.
+/// task that count as achieving it, in the task's unit; motions take `duration_secs`. Seed, model
+/// and data are left for the caller.
 ///
 /// # Errors
 /// Fewer than 2 cases; cases whose states or tasks have another dimension than the primitive's.
@@ -43,6 +53,23 @@ pub fn evaluate_primitive<P: MovementPrimitive + ?Sized>(
     thresholds: &[f64],
     duration_secs: f64,
 ) -> Result<PrimitiveEvaluation, EvaluationError> {
+    Ok(evaluate_primitive_cases(primitive, task, cases, thresholds, duration_secs)?.0)
+}
+
+/// [`evaluate_primitive`], with what came of every case, in their order.
+///
+/// # Errors
+/// As [`evaluate_primitive`].
+///
+/// # Panics
+/// As [`evaluate_primitive`].
+pub fn evaluate_primitive_cases<P: MovementPrimitive + ?Sized>(
+    primitive: &P,
+    task: &dyn Task,
+    cases: &[Demonstration],
+    thresholds: &[f64],
+    duration_secs: f64,
+) -> Result<(PrimitiveEvaluation, Vec<CaseOutcome>), EvaluationError> {
     assert!(!thresholds.is_empty(), "nothing to measure");
     if cases.len() < 2 {
         let (split, found, needed) = ("test", cases.len(), 2);
@@ -67,14 +94,24 @@ pub fn evaluate_primitive<P: MovementPrimitive + ?Sized>(
         thresholds.iter().map(wilson).collect()
     };
     let (success, success_and_valid) = (scores(&errors), scores(&valid_errors));
+    let outcome = |error: &f64| CaseOutcome {
+        success: thresholds.iter().map(|t| f64::from(error <= t)).collect(),
+        robustness: Vec::new(),
+        robust_and_valid: Vec::new(),
+    };
+    let outcomes = errors.iter().map(outcome).collect();
     errors.sort_by(f64::total_cmp);
-    Ok(PrimitiveEvaluation {
+    let evaluation = PrimitiveEvaluation {
         success,
         success_and_valid,
         median_task_error: Some(errors[cases.len() / 2]).filter(|e| e.is_finite()),
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
         cases: cases.len(),
-    })
+        seed: 0,
+        model_id: String::new(),
+        data_digest: String::new(),
+    };
+    Ok((evaluation, outcomes))
 }
 
 #[cfg(test)]

@@ -24,7 +24,10 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use super::{PrimitiveError, check, check_window, generated, prepared};
+use super::{
+    MOST_FUNCTIONS, PrimitiveError, STEPS, bounded, check, check_window, generated, prepared,
+    wrong_numbers, wrong_sizes,
+};
 use crate::parameters::{TaskParameters, TaskSpace};
 use crate::primitive::{Demonstration, Generated, MovementPrimitive};
 use crate::trajectory::Trajectory;
@@ -44,6 +47,9 @@ const LONGEST_STEP: f64 = 1e-3;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DmpConfig {
+    /// States of a generated trajectory; demonstrations are resampled to them. Only
+    /// [`DmpPrimitive`] asks.
+    pub steps: usize,
     /// Basis functions of the forcing term.
     pub basis_functions: usize,
     /// Ridge of the regression of the weights.
@@ -59,16 +65,22 @@ pub struct DmpConfig {
 
 impl Default for DmpConfig {
     fn default() -> Self {
-        Self { basis_functions: 30, ridge: 1e-9, smooth_scaling: false, alignment_window: 0.0 }
+        Self {
+            steps: STEPS,
+            basis_functions: 30,
+            ridge: 1e-9,
+            smooth_scaling: false,
+            alignment_window: 0.0,
+        }
     }
 }
 
 impl DmpConfig {
     fn check(&self) -> Result<(), PrimitiveError> {
-        let Self { basis_functions, ridge, smooth_scaling: _, alignment_window } = *self;
+        let Self { steps: _, basis_functions, ridge, smooth_scaling: _, alignment_window } = *self;
         check_window(alignment_window)?;
         let error = |name, value, range| Err(PrimitiveError::Setting { name, value, range });
-        if !(2..=1000).contains(&basis_functions) {
+        if !(2..=MOST_FUNCTIONS).contains(&basis_functions) {
             return error("basis_functions", basis_functions as f64, "from 2 to 1000");
         }
         if !(0.0..=1e6).contains(&ridge) {
@@ -445,11 +457,13 @@ struct Parts {
     steps: usize,
     smooth_scaling: bool,
     /// Mean over the demonstrations, `[state_dim, basis_functions]`.
+    #[serde(with = "super::matrix")]
     weights: DMatrix<f64>,
     start: End,
     goal: End,
     /// Root mean square distance of the demonstrations from what is generated for their tasks,
     /// `[state_dim, steps]`.
+    #[serde(with = "super::matrix")]
     deviation: DMatrix<f64>,
 }
 
@@ -471,7 +485,7 @@ pub struct DmpPrimitive {
 }
 
 impl DmpPrimitive {
-    /// Fits the primitive to demonstrations; what it generates has `steps` states.
+    /// Fits the primitive to demonstrations.
     ///
     /// # Errors
     /// No demonstrations, or some of another task space or state; settings out of range; more basis
@@ -479,9 +493,9 @@ impl DmpPrimitive {
     pub fn fit(
         config: &DmpConfig,
         space: &TaskSpace,
-        steps: usize,
         demonstrations: &[Demonstration],
     ) -> Result<Self, PrimitiveError> {
+        let steps = config.steps;
         let state_dim = check(space, steps, demonstrations, 1)?;
         let motions = prepared(steps, config.alignment_window, demonstrations);
         let dmps = motions.iter().map(|m| Dmp::fit(config, m)).collect::<Result<Vec<_>, _>>()?;
@@ -543,19 +557,19 @@ impl TryFrom<Parts> for DmpPrimitive {
             goal.state.as_slice(),
             deviation.as_slice(),
         ];
-        let follows = |end: &End| end.location.is_none_or(|l| l < locations && state_dim >= 2);
-        let wrong = if *steps < 2 || state_dim == 0 || count < 2 {
-            Some(format!("{steps} steps of {state_dim} values with {count} weights each"))
+        let follows = |end: &End| end.location.is_none_or(|l| l < locations);
+        let wrong = if let Some(wrong) = wrong_sizes(task_space, *steps, state_dim) {
+            Some(wrong)
+        } else if !(2..=MOST_FUNCTIONS).contains(&count) {
+            Some(format!("{count} weights for each value; 2 to {MOST_FUNCTIONS} are possible"))
         } else if start.state.len() != state_dim || goal.state.len() != state_dim {
             Some(format!("an end is not of {state_dim} values"))
         } else if deviation.shape() != (state_dim, *steps) {
             Some(format!("the deviation is not of {steps} steps of {state_dim} values"))
         } else if !follows(start) || !follows(goal) {
             Some(format!("an end follows a location that is none of the {locations}"))
-        } else if numbers.iter().any(|n| n.iter().any(|v| !v.is_finite())) {
-            Some("a value is not finite".to_string())
         } else {
-            None
+            wrong_numbers(numbers.into_iter().flatten())
         };
         match wrong {
             Some(detail) => Err(PrimitiveError::Parts { primitive: "DMP", detail }),
@@ -585,7 +599,8 @@ impl MovementPrimitive for DmpPrimitive {
 
     fn generate(&self, w: &TaskParameters) -> Generated {
         let variances = self.parts.deviation.iter().map(|v| v * v).collect();
-        generated(self.state_dim(), self.rollout(w).values().to_vec(), variances)
+        let states = self.rollout(&bounded(self.task_space(), w));
+        generated(self.state_dim(), states.values().to_vec(), variances)
     }
 }
 
@@ -701,8 +716,8 @@ mod tests {
     #[test]
     fn the_ends_follow_the_locations_that_the_demonstrations_follow() {
         let demonstrations = demonstrations(2, 20);
-        let primitive =
-            DmpPrimitive::fit(&DmpConfig::default(), &space(2), 60, &demonstrations).unwrap();
+        let config = DmpConfig { steps: 60, ..DmpConfig::default() };
+        let primitive = DmpPrimitive::fit(&config, &space(2), &demonstrations).unwrap();
         assert_eq!(primitive.parts.start.location, Some(1));
         assert_eq!(primitive.parts.goal.location, Some(0));
         let here = primitive.generate(&task(&[0.3, 0.2, -0.4, 0.1]));
@@ -730,15 +745,15 @@ mod tests {
 
     #[test]
     fn storing_gives_the_same_primitive_and_odd_parts_are_refused() {
-        let config = DmpConfig { basis_functions: 10, ..DmpConfig::default() };
-        let primitive = DmpPrimitive::fit(&config, &space(2), 20, &demonstrations(2, 4)).unwrap();
+        let config = DmpConfig { steps: 20, basis_functions: 10, ..DmpConfig::default() };
+        let primitive = DmpPrimitive::fit(&config, &space(2), &demonstrations(2, 4)).unwrap();
         let text = serde_json::to_string(&primitive).unwrap();
         assert_eq!(serde_json::from_str::<DmpPrimitive>(&text).unwrap(), primitive);
         let odd = text.replacen("\"location\":1", "\"location\":2", 1);
         let error = serde_json::from_str::<DmpPrimitive>(&odd).unwrap_err().to_string();
         assert!(error.contains("a location that is none of the 2"), "{error}");
         let one = DmpConfig { basis_functions: 1, ..config };
-        let error = DmpPrimitive::fit(&one, &space(2), 20, &demonstrations(2, 4)).unwrap_err();
+        let error = DmpPrimitive::fit(&one, &space(2), &demonstrations(2, 4)).unwrap_err();
         assert_eq!(error.to_string(), "basis_functions is 1; it must be from 2 to 1000");
     }
 }

@@ -23,6 +23,7 @@ pub struct Gaussian {
     /// Its mean, `[dim]`.
     pub mean: DVector<f64>,
     /// Its covariance, `[dim, dim]`.
+    #[serde(with = "super::matrix")]
     pub covariance: DMatrix<f64>,
 }
 

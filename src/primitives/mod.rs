@@ -7,12 +7,15 @@
 //!
 //! [`MovementPrimitive`]: crate::primitive::MovementPrimitive
 
+pub mod classical;
 pub mod dmp;
 pub mod dtw;
 pub mod gmm;
+mod matrix;
 pub mod promp;
 pub mod tp_gmm;
 
+pub use classical::{Classical, ClassicalConfig, Fitted};
 pub use dmp::{DmpConfig, DmpPrimitive};
 pub use promp::{ProMp, ProMpConfig};
 pub use tp_gmm::{TpGmm, TpGmmConfig};
@@ -80,6 +83,41 @@ pub enum PrimitiveError {
     },
 }
 
+/// States of a generated trajectory, where no other number is set: those of a pour.
+const STEPS: usize = 100;
+/// Most states of a trajectory, most values of a state, most basis functions, as a TC-VAE's.
+const MOST_STEPS: usize = 20_000;
+const MOST_VALUES: usize = 1000;
+const MOST_FUNCTIONS: usize = 1000;
+/// Largest number that a primitive may be made of, and largest task parameter that it follows, both
+/// far beyond any data: within them everything that is generated is finite.
+const LARGEST_PART: f64 = 1e9;
+const LARGEST_TASK: f64 = 1e6;
+
+/// The task, with each value at most [`LARGEST_TASK`] away from 0.
+fn bounded(space: &TaskSpace, w: &TaskParameters) -> TaskParameters {
+    let values = w.values().iter().map(|v| v.clamp(-LARGEST_TASK, LARGEST_TASK)).collect();
+    TaskParameters::new(space, values).expect("a task of this space")
+}
+
+/// What is wrong with the sizes of stored parts; `None` where nothing is.
+fn wrong_sizes(space: &TaskSpace, steps: usize, state_dim: usize) -> Option<String> {
+    let least = if space.dim() > 0 { 2 } else { 1 };
+    let fits = (2..=MOST_STEPS).contains(&steps) && (least..=MOST_VALUES).contains(&state_dim);
+    (!fits).then(|| {
+        format!(
+            "{steps} steps of {state_dim} values; 2 to {MOST_STEPS} of {least} to {MOST_VALUES} \
+             are possible"
+        )
+    })
+}
+
+/// What is wrong with stored numbers; `None` where nothing is.
+fn wrong_numbers<'a>(mut numbers: impl Iterator<Item = &'a f64>) -> Option<String> {
+    let wrong = numbers.find(|v| v.is_nan() || v.abs() > LARGEST_PART)?;
+    Some(format!("a value is {wrong}; at most {LARGEST_PART:e} is possible"))
+}
+
 /// Checks a setting that is a share of the motion.
 fn check_window(value: f64) -> Result<(), PrimitiveError> {
     match value {
@@ -99,12 +137,9 @@ fn check(
     demonstrations: &[Demonstration],
     needed: usize,
 ) -> Result<usize, PrimitiveError> {
-    if steps < 2 {
-        return Err(PrimitiveError::Setting {
-            name: "steps",
-            value: steps as f64,
-            range: "at least 2",
-        });
+    if !(2..=MOST_STEPS).contains(&steps) {
+        let (name, value, range) = ("steps", steps as f64, "from 2 to 20000");
+        return Err(PrimitiveError::Setting { name, value, range });
     }
     let found = demonstrations.len();
     if found < needed.max(1) {
@@ -203,7 +238,7 @@ fn seen_from_locations(motion: &Trajectory, w: &TaskParameters) -> Vec<f64> {
 /// A mean and variances, each `[steps, dim]` row by row, as what a primitive answers.
 ///
 /// # Panics
-/// When they are not finite, which they are for any task of the magnitude that tasks have.
+/// When they are not finite, which those of checked parts and a [`bounded`] task are.
 fn generated(dim: usize, mean: Vec<f64>, variances: Vec<f64>) -> Generated {
     let stddev = variances.into_iter().map(|v| v.max(0.0).sqrt()).collect();
     let trajectory =

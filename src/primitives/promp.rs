@@ -11,7 +11,10 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::{PrimitiveError, check, check_window, generated, prepared};
+use super::{
+    MOST_FUNCTIONS, PrimitiveError, STEPS, bounded, check, check_window, generated, prepared,
+    wrong_numbers, wrong_sizes,
+};
 use crate::parameters::{TaskParameters, TaskSpace};
 use crate::primitive::{Demonstration, Generated, MovementPrimitive};
 use crate::trajectory::Trajectory;
@@ -25,6 +28,8 @@ const OVERLAP: f64 = 0.7;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProMpConfig {
+    /// States of a generated trajectory; demonstrations are resampled to them.
+    pub steps: usize,
     /// Basis functions for each value of the state.
     pub basis_functions: usize,
     /// Share of the motion by which dynamic time warping may move its steps, to give the
@@ -40,16 +45,22 @@ pub struct ProMpConfig {
 
 impl Default for ProMpConfig {
     fn default() -> Self {
-        Self { basis_functions: 20, alignment_window: 0.0, weight_ridge: 1e-6, task_ridge: 1e-6 }
+        Self {
+            steps: STEPS,
+            basis_functions: 20,
+            alignment_window: 0.0,
+            weight_ridge: 1e-6,
+            task_ridge: 1e-6,
+        }
     }
 }
 
 impl ProMpConfig {
     fn check(&self) -> Result<(), PrimitiveError> {
-        let Self { basis_functions, alignment_window, weight_ridge, task_ridge } = *self;
+        let Self { steps: _, basis_functions, alignment_window, weight_ridge, task_ridge } = *self;
         check_window(alignment_window)?;
         let error = |name, value, range| Err(PrimitiveError::Setting { name, value, range });
-        if !(2..=1000).contains(&basis_functions) {
+        if !(2..=MOST_FUNCTIONS).contains(&basis_functions) {
             return error("basis_functions", basis_functions as f64, "from 2 to 1000");
         }
         for (name, value) in [("weight_ridge", weight_ridge), ("task_ridge", task_ridge)] {
@@ -117,6 +128,7 @@ pub struct MotionDistribution {
     /// Mean of the weights, `[state_dim * basis_functions]`, in the order of [`weights`].
     pub mean: DVector<f64>,
     /// Covariance of the weights.
+    #[serde(with = "super::matrix")]
     pub covariance: DMatrix<f64>,
 }
 
@@ -192,6 +204,7 @@ struct Parts {
     /// Mean of the task parameters.
     task_mean: DVector<f64>,
     /// By how much the weights move with the task: `Cov(v, w) Cov(w, w)^-1`.
+    #[serde(with = "super::matrix")]
     gain: DMatrix<f64>,
     /// The weights at the mean task, and their covariance given any task.
     motions: MotionDistribution,
@@ -207,7 +220,7 @@ pub struct ProMp {
 }
 
 impl ProMp {
-    /// Fits the joint distribution to demonstrations; what is generated has `steps` states.
+    /// Fits the joint distribution to demonstrations.
     ///
     /// # Errors
     /// Too few demonstrations for the task parameters, or some of another task space or state;
@@ -215,10 +228,10 @@ impl ProMp {
     pub fn fit(
         config: &ProMpConfig,
         space: &TaskSpace,
-        steps: usize,
         demonstrations: &[Demonstration],
     ) -> Result<Self, PrimitiveError> {
         config.check()?;
+        let steps = config.steps;
         let state_dim = check(space, steps, demonstrations, space.dim() + 2)?;
         let motions = prepared(steps, config.alignment_window, demonstrations);
         let count = config.basis_functions;
@@ -286,20 +299,25 @@ impl TryFrom<Parts> for ProMp {
         let Parts { task_space, steps, task_mean, gain, motions, residual_variance } = &parts;
         let MotionDistribution { state_dim, mean, covariance } = motions;
         let (count, dim) = (mean.len(), task_space.dim());
-        let numbers =
-            [task_mean.as_slice(), gain.as_slice(), mean.as_slice(), covariance.as_slice()];
-        let wrong = if *steps < 2 || *state_dim == 0 {
-            Some(format!("{steps} steps of {state_dim} values"))
+        let numbers = [
+            task_mean.as_slice(),
+            gain.as_slice(),
+            mean.as_slice(),
+            covariance.as_slice(),
+            residual_variance.as_slice(),
+        ];
+        let wrong = if let Some(wrong) = wrong_sizes(task_space, *steps, *state_dim) {
+            Some(wrong)
         } else if count < 2 * state_dim || !count.is_multiple_of(*state_dim) {
             Some(format!("{count} weights for {state_dim} values of a state"))
         } else if task_mean.len() != dim || gain.shape() != (count, dim) {
             Some(format!("the gain is not of {count} weights and {dim} task parameters"))
         } else if covariance.shape() != (count, count) || residual_variance.len() != *state_dim {
             Some(format!("the covariance is not of {count} weights"))
-        } else if numbers.iter().any(|n| n.iter().any(|v| !v.is_finite()))
-            || !residual_variance.iter().all(|v| *v >= 0.0 && v.is_finite())
-        {
-            Some("a value is not finite, or a variance is negative".to_string())
+        } else if let Some(wrong) = wrong_numbers(numbers.into_iter().flatten()) {
+            Some(wrong)
+        } else if !residual_variance.iter().chain(&covariance.diagonal()).all(|v| *v >= 0.0) {
+            Some("a variance is negative".to_string())
         } else {
             None
         };
@@ -330,6 +348,7 @@ impl MovementPrimitive for ProMp {
     }
 
     fn generate(&self, w: &TaskParameters) -> Generated {
+        let w = &bounded(self.task_space(), w);
         let (mean, mut variances) = self.motions(w).marginals(self.parts.steps);
         let residual = self.parts.residual_variance.iter().cycle();
         variances.iter_mut().zip(residual).for_each(|(v, residual)| *v += residual);
@@ -343,7 +362,8 @@ mod tests {
     use crate::primitives::tests::{demonstrations, largest_difference, space, task};
 
     fn fitted(demonstrations: &[Demonstration]) -> ProMp {
-        ProMp::fit(&ProMpConfig::default(), &space(2), 50, demonstrations).unwrap()
+        let config = ProMpConfig { steps: 50, ..ProMpConfig::default() };
+        ProMp::fit(&config, &space(2), demonstrations).unwrap()
     }
 
     #[test]
@@ -365,8 +385,13 @@ mod tests {
                 d
             })
             .collect();
-        let config = ProMpConfig { weight_ridge: 1e-12, task_ridge: 0.0, ..ProMpConfig::default() };
-        let promp = ProMp::fit(&config, &space(2), 50, &demonstrations).unwrap();
+        let config = ProMpConfig {
+            steps: 50,
+            weight_ridge: 1e-12,
+            task_ridge: 0.0,
+            ..ProMpConfig::default()
+        };
+        let promp = ProMp::fit(&config, &space(2), &demonstrations).unwrap();
         for w in [[0.1, 0.7, -0.3, 0.2], [0.0; 4]] {
             let Generated { mean, stddev, .. } = promp.generate(&task(&w));
             assert!(largest_difference(&mean, &motion(&w)) < 1e-6);
@@ -404,10 +429,10 @@ mod tests {
     #[test]
     fn fewer_demonstrations_than_the_task_needs_are_refused() {
         let config = ProMpConfig::default();
-        let refused = ProMp::fit(&config, &space(2), 50, &demonstrations(2, 5));
+        let refused = ProMp::fit(&config, &space(2), &demonstrations(2, 5));
         assert!(matches!(refused, Err(PrimitiveError::TooFew { found: 5, needed: 6, .. })));
         let one = ProMpConfig { basis_functions: 1, ..config };
-        let error = ProMp::fit(&one, &space(2), 50, &demonstrations(2, 9)).unwrap_err();
+        let error = ProMp::fit(&one, &space(2), &demonstrations(2, 9)).unwrap_err();
         assert_eq!(error.to_string(), "basis_functions is 1; it must be from 2 to 1000");
     }
 }

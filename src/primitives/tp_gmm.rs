@@ -14,7 +14,10 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::gmm::{Gaussian, Gmm, GmmConfig, Initialization, Mixture, Regression, slices};
-use super::{ALIGNMENT_WINDOW, PrimitiveError, check, check_window, generated, prepared};
+use super::{
+    ALIGNMENT_WINDOW, PrimitiveError, STEPS, bounded, check, check_window, generated, prepared,
+    wrong_numbers, wrong_sizes,
+};
 use crate::parameters::{TaskParameters, TaskSpace};
 use crate::primitive::{Demonstration, Generated, MovementPrimitive};
 use crate::trajectory::Trajectory;
@@ -23,6 +26,8 @@ use crate::trajectory::Trajectory;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TpGmmConfig {
+    /// States of a generated trajectory; demonstrations are resampled to them. Only [`TpGmm`] asks.
+    pub steps: usize,
     /// Number of Gaussians in each frame; the paper's is 25.
     pub components: usize,
     /// Share of the motion by which dynamic time warping may move its steps, to give the
@@ -42,6 +47,7 @@ impl Default for TpGmmConfig {
     /// The paper's, where it says.
     fn default() -> Self {
         Self {
+            steps: STEPS,
             components: 25,
             alignment_window: ALIGNMENT_WINDOW,
             max_iterations: 100,
@@ -50,6 +56,10 @@ impl Default for TpGmmConfig {
         }
     }
 }
+
+/// Largest entry of a covariance's inverse that parts may have: that of a standard deviation of 30
+/// nanometres.
+const LARGEST_PRECISION: f64 = 1e15;
 
 /// A frame of a task: a state is `matrix * view + origin`.
 #[derive(Debug, Clone, PartialEq)]
@@ -106,6 +116,7 @@ impl FramedGmm {
         frames: &[Vec<Frame>],
     ) -> Result<Self, PrimitiveError> {
         let TpGmmConfig {
+            steps: _,
             components,
             alignment_window: _,
             max_iterations,
@@ -205,7 +216,7 @@ pub struct TpGmm {
 }
 
 impl TpGmm {
-    /// Fits the mixture to demonstrations; what it generates has `steps` states.
+    /// Fits the mixture to demonstrations.
     ///
     /// # Errors
     /// No demonstrations, or some of another task space or state; settings out of range; fewer
@@ -214,9 +225,9 @@ impl TpGmm {
     pub fn fit(
         config: &TpGmmConfig,
         space: &TaskSpace,
-        steps: usize,
         demonstrations: &[Demonstration],
     ) -> Result<Self, PrimitiveError> {
+        let steps = config.steps;
         let state_dim = check(space, steps, demonstrations, 1)?;
         check_window(config.alignment_window)?;
         let motions = prepared(steps, config.alignment_window, demonstrations);
@@ -243,15 +254,15 @@ impl TryFrom<Parts> for TpGmm {
     fn try_from(parts: Parts) -> Result<Self, PrimitiveError> {
         let Parts { task_space, steps, state_dim, mixture: FramedGmm { mixture } } = &parts;
         let frames = (task_space.dim() / 2).max(1);
-        let dim = 1 + state_dim;
-        let fits = |g: &Gaussian| {
-            g.mean.len() == dim
-                && g.covariance.shape() == (dim, dim)
-                && g.mean.iter().chain(g.covariance.iter()).all(|v| v.is_finite())
+        let dim = state_dim.saturating_add(1);
+        let fits = |g: &Gaussian| g.mean.len() == dim && g.covariance.shape() == (dim, dim);
+        let narrow = |g: &Gaussian| {
+            let inverse = Cholesky::new(g.covariance.clone()).map(|c| c.inverse());
+            inverse.is_none_or(|m| !m.iter().all(|v| v.abs() <= LARGEST_PRECISION))
         };
         let components = mixture.weights.len();
-        let wrong = if *steps < 2 || *state_dim < 1 || (task_space.dim() > 0 && *state_dim < 2) {
-            Some(format!("{steps} steps of {state_dim} values"))
+        let wrong = if let Some(wrong) = wrong_sizes(task_space, *steps, *state_dim) {
+            Some(wrong)
         } else if mixture.frames.len() != frames {
             Some(format!("{} frames for {frames} locations", mixture.frames.len()))
         } else if components == 0 || mixture.frames.iter().any(|f| f.len() != components) {
@@ -259,7 +270,13 @@ impl TryFrom<Parts> for TpGmm {
         } else if !mixture.weights.iter().all(|w| *w > 0.0 && *w <= 1.0) {
             Some("a component's weight is outside (0, 1]".to_string())
         } else if !mixture.frames.iter().flatten().all(fits) {
-            Some(format!("a Gaussian is not of {dim} finite values"))
+            Some(format!("a Gaussian is not of {dim} values"))
+        } else if let Some(wrong) = wrong_numbers(
+            mixture.frames.iter().flatten().flat_map(|g| g.mean.iter().chain(&g.covariance)),
+        ) {
+            Some(wrong)
+        } else if mixture.frames.iter().flatten().any(narrow) {
+            Some("a covariance is not positive definite, or too narrow".to_string())
         } else {
             None
         };
@@ -295,6 +312,7 @@ impl MovementPrimitive for TpGmm {
 
     fn generate(&self, w: &TaskParameters) -> Generated {
         let Parts { steps, state_dim, .. } = self.parts;
+        let w = &bounded(self.task_space(), w);
         let regression = self.regression(w).expect("checked at construction");
         let (mut mean, mut variances) = (Vec::new(), Vec::new());
         for t in 0..steps {
@@ -312,11 +330,11 @@ mod tests {
     use crate::primitives::tests::{demonstrations, largest_difference, space, task};
 
     fn fitted(config: &TpGmmConfig) -> TpGmm {
-        TpGmm::fit(config, &space(2), 40, &demonstrations(2, 20)).unwrap()
+        TpGmm::fit(config, &space(2), &demonstrations(2, 20)).unwrap()
     }
 
     fn few() -> TpGmmConfig {
-        TpGmmConfig { components: 8, regularization: 1e-6, ..TpGmmConfig::default() }
+        TpGmmConfig { steps: 40, components: 8, regularization: 1e-6, ..TpGmmConfig::default() }
     }
 
     #[test]
@@ -345,9 +363,9 @@ mod tests {
 
     #[test]
     fn one_frame_at_the_origin_is_plain_regression_on_time() {
-        let config = few();
+        let config = TpGmmConfig { steps: 30, ..few() };
         let demonstrations = demonstrations(0, 10);
-        let tp_gmm = TpGmm::fit(&config, &space(0), 30, &demonstrations).unwrap();
+        let tp_gmm = TpGmm::fit(&config, &space(0), &demonstrations).unwrap();
         let motions = prepared(30, ALIGNMENT_WINDOW, &demonstrations);
         let columns: Vec<DVector<f64>> = motions
             .iter()
@@ -382,7 +400,7 @@ mod tests {
             serde_json::from_str::<TpGmm>(&odd).unwrap_err().to_string()
         };
         let error = refused("\"state_dim\":3", "\"state_dim\":4");
-        assert!(error.contains("a Gaussian is not of 5 finite values"), "{error}");
+        assert!(error.contains("a Gaussian is not of 5 values"), "{error}");
         let error = refused("\"steps\":40", "\"steps\":1");
         assert!(error.contains("1 steps of 3 values"), "{error}");
     }
@@ -390,14 +408,14 @@ mod tests {
     #[test]
     fn too_little_and_odd_data_are_refused() {
         let error = |demonstrations: &[Demonstration]| {
-            TpGmm::fit(&few(), &space(2), 40, demonstrations).unwrap_err().to_string()
+            TpGmm::fit(&few(), &space(2), demonstrations).unwrap_err().to_string()
         };
         assert_eq!(error(&[]), "0 demonstrations where at least 1 are needed; record more");
         let mut odd = demonstrations(2, 3);
         odd[1].w = task(&[0.0, 0.0]);
         assert_eq!(error(&odd), "demonstration 1 has 2 task parameters where 4 are needed");
         let many = TpGmmConfig { components: 1000, ..few() };
-        let refused = TpGmm::fit(&many, &space(2), 40, &demonstrations(2, 3));
+        let refused = TpGmm::fit(&many, &space(2), &demonstrations(2, 3));
         assert!(matches!(refused, Err(PrimitiveError::TooFew { found: 120, needed: 1000, .. })));
     }
 }

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use super::convert::Frames;
 use super::environment::{DiscoveryRange, Environment};
 use super::names::NodeNames;
-use crate::evaluation::{Evaluation, Score};
+use crate::evaluation::{ModelEvaluation, Score};
 use crate::parameters::{Interval, MannerAxis, TaskLocation};
 use crate::serving::Description;
 
@@ -130,7 +130,7 @@ pub fn location_command(names: &NodeNames, base: &str, location: &str, xy: [f64;
 
 /// The stored scores, for a person.
 fn scores(evaluation_json: &str, unit: &str) -> Vec<String> {
-    let Ok(evaluation) = serde_json::from_str::<Evaluation>(evaluation_json) else {
+    let Ok(evaluation) = serde_json::from_str::<ModelEvaluation>(evaluation_json) else {
         return vec!["none are stored in the model".into()];
     };
     let line = |name: &str, scores: &[Score]| {
@@ -139,15 +139,22 @@ fn scores(evaluation_json: &str, unit: &str) -> Vec<String> {
         });
         format!("{name} {}", scores.collect::<Vec<_>>().join(", "))
     };
-    vec![
-        line("success", &evaluation.success),
-        line("robustness", &evaluation.robustness),
-        line("robust and valid", &evaluation.robust_and_valid),
-        format!(
-            "{} active latents, leak R2 {:.3}, {} test cases",
-            evaluation.active_latents, evaluation.leak_r2, evaluation.cases
-        ),
-    ]
+    match evaluation {
+        ModelEvaluation::TcVae(evaluation) => vec![
+            line("success", &evaluation.success),
+            line("robustness", &evaluation.robustness),
+            line("robust and valid", &evaluation.robust_and_valid),
+            format!(
+                "{} active latents, leak R2 {:.3}, {} test cases",
+                evaluation.active_latents, evaluation.leak_r2, evaluation.cases
+            ),
+        ],
+        ModelEvaluation::Classical(evaluation) => vec![
+            line("success", &evaluation.success),
+            line("success and valid", &evaluation.success_and_valid),
+            format!("no manner parameters, {} test cases", evaluation.cases),
+        ],
+    }
 }
 
 #[cfg(test)]
@@ -220,6 +227,24 @@ mod tests {
             "ros2 topic pub --once /left/tcvae/goal_pose geometry_msgs/msg/PoseStamped \
              '{header: {frame_id: base}, pose: {position: {x: 0.65, y: 0.30}}}'",
             "ros2 param set /left/tcvae manner.pour_duration 1.0",
+        ] {
+            assert!(text.contains(expected), "{expected}\nis not in\n{text}");
+        }
+    }
+
+    #[test]
+    fn of_a_primitive_without_manner_it_tells_what_there_is() {
+        let evaluation = r#"{
+            "success": [{"threshold": 0.02, "mean": 0.91, "low": 0.89, "high": 0.93}],
+            "success_and_valid": [{"threshold": 0.02, "mean": 0.9, "low": 0.88, "high": 0.92}],
+            "median_task_error": 0.004, "reconstruction_rmse": 0.01,
+            "cases": 42, "seed": 0, "model_id": "0123456789ab", "data_digest": ""
+        }"#;
+        let text = text(evaluation);
+        for expected in [
+            "scores  success 0.910 [0.890, 0.930] within 0.02 m",
+            "scores  success and valid 0.900 [0.880, 0.920] within 0.02 m",
+            "scores  no manner parameters, 42 test cases",
         ] {
             assert!(text.contains(expected), "{expected}\nis not in\n{text}");
         }

@@ -10,7 +10,7 @@ use crate::serving::Familiarity;
 /// A trained primitive and what its model file says of it.
 #[derive(Debug)]
 pub struct ServedModel {
-    /// First 12 digits of the SHA-256 over the tensors.
+    /// First 12 digits of the SHA-256 over what was learned.
     pub model_id: String,
     /// The primitive; its states are the 6-D states of [`crate::pose`].
     pub primitive: Box<dyn MannerConditioned + Send + Sync>,

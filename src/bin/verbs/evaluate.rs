@@ -8,16 +8,17 @@ use clap::Args;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
-use tcvae::artifact::{Artifact, ModelDocument};
+use tcvae::artifact::{Artifact, Learned, ModelDocument, TcVaeDocument};
 use tcvae::demonstrations::Splits;
 use tcvae::evaluation::disentanglement::Disentanglement;
 use tcvae::evaluation::manner::{described, manner_effects};
 use tcvae::evaluation::{
-    self, Calibration, CaseOutcome, Evaluation, EvaluationOptions, PriorScores, Score,
+    self, Calibration, CaseOutcome, Evaluation, EvaluationOptions, ModelEvaluation,
+    PrimitiveEvaluation, PriorScores, Score, evaluate_cases, evaluate_primitive_cases,
 };
 use tcvae::model::{Backend, Recogniser};
 
-use super::sources::Recordings;
+use super::sources::{Copies, Recordings};
 use super::{ExitStatus, print_json, print_line};
 
 /// Seed of an evaluation where none is given.
@@ -47,8 +48,13 @@ pub(crate) fn run(args: EvaluateArgs) -> anyhow::Result<ExitStatus> {
     let EvaluateArgs { model, data, robot, seed, json } = args;
     let artifact = Artifact::load(&model).with_context(|| model.display().to_string())?;
     let recordings = Recordings { paths: vec![data], robot, ..Recordings::default() };
-    let data = recordings.data(Some(&artifact.document.task))?;
-    let (of_model, of_data) = (artifact.document.task.task().name(), data.task.task().name());
+    let ModelDocument { learned, task, task_space, .. } = &artifact.document;
+    let copies = match learned {
+        Learned::TcVae(_) => Copies::Made,
+        Learned::Classical(_) => Copies::LeftOut,
+    };
+    let data = recordings.data(Some(task), copies)?;
+    let (of_model, of_data) = (task.task().name(), data.task.task().name());
     ensure!(
         of_model == of_data,
         "{} is a model of {of_model} and the data is of {of_data}; evaluate it on {of_model}",
@@ -58,8 +64,15 @@ pub(crate) fn run(args: EvaluateArgs) -> anyhow::Result<ExitStatus> {
     if json {
         print_json(&evaluation);
     } else {
-        let ModelDocument { model, task_space, .. } = &artifact.document;
-        print_line(&table(&evaluation, model.network.latents, &task_space.unit));
+        print_line(&match &evaluation {
+            ModelEvaluation::TcVae(evaluation) => {
+                let latents = artifact.primitive().manner_space().dim();
+                table(evaluation, latents, &task_space.unit)
+            }
+            ModelEvaluation::Classical(evaluation) => {
+                classical_table(evaluation, learned.name(), &task_space.unit)
+            }
+        });
     }
     Ok(ExitStatus::Done)
 }
@@ -70,7 +83,7 @@ pub(crate) fn measure(
     splits: &Splits,
     data_digest: String,
     seed: u64,
-) -> anyhow::Result<Evaluation> {
+) -> anyhow::Result<ModelEvaluation> {
     Ok(measure_cases(artifact, splits, data_digest, seed)?.0)
 }
 
@@ -80,32 +93,123 @@ pub(crate) fn measure_cases(
     splits: &Splits,
     data_digest: String,
     seed: u64,
-) -> anyhow::Result<(Evaluation, Vec<CaseOutcome>)> {
-    let ModelDocument { model, normalizer, task, duration_secs, .. } = &artifact.document;
-    let primitive = artifact.primitive();
-    let recogniser = Recogniser::new(model, normalizer, artifact.weights(), Backend::default())?;
-    let options = EvaluationOptions {
-        thresholds: task.thresholds().to_vec(),
-        duration_secs: *duration_secs,
-        seed,
-        ..EvaluationOptions::default()
-    };
+) -> anyhow::Result<(ModelEvaluation, Vec<CaseOutcome>)> {
+    let ModelDocument { learned, task, duration_secs, .. } = &artifact.document;
+    let (primitive, model_id) = (artifact.primitive(), artifact.model_id());
+    let (thresholds, duration_secs) = (task.thresholds().to_vec(), *duration_secs);
     let task = task.task();
-    let (evaluation, outcomes) =
-        evaluation::evaluate_cases(&primitive, &recogniser, task, splits, &options)?;
-    Ok((Evaluation { model_id: artifact.model_id(), data_digest, ..evaluation }, outcomes))
+    Ok(match learned {
+        Learned::TcVae(TcVaeDocument { model, normalizer, .. }) => {
+            let weights = artifact.weights();
+            let recogniser = Recogniser::new(model, normalizer, weights, Backend::default())?;
+            let options = EvaluationOptions {
+                thresholds,
+                duration_secs,
+                seed,
+                ..EvaluationOptions::default()
+            };
+            let (measured, outcomes) =
+                evaluate_cases(&*primitive, &recogniser, task, splits, &options)?;
+            let measured = Evaluation { model_id, data_digest, ..measured };
+            (ModelEvaluation::TcVae(measured), outcomes)
+        }
+        Learned::Classical(_) => {
+            let cases = &splits.test;
+            let (measured, outcomes) =
+                evaluate_primitive_cases(&*primitive, task, cases, &thresholds, duration_secs)?;
+            let measured = PrimitiveEvaluation { seed, model_id, data_digest, ..measured };
+            (ModelEvaluation::Classical(measured), outcomes)
+        }
+    })
 }
 
-/// Adds to a freshly trained model what each of its manner parameters does.
+/// Adds to a freshly trained model what each of its manner parameters does, where it has any.
 pub(crate) fn add_names(artifact: &mut Artifact, splits: &Splits) {
-    let ModelDocument { task, duration_secs, latents, manner_space, .. } = &artifact.document;
+    let primitive = artifact.primitive();
+    let ModelDocument { learned, task, duration_secs, .. } = &mut artifact.document;
+    let Learned::TcVae(TcVaeDocument { latents, manner_space, .. }) = learned else { return };
     let active: Vec<bool> =
         latents.iter().map(|latent| latent.kl > evaluation::ACTIVE_KL_NATS).collect();
     let tasks: Vec<_> = splits.train.iter().map(|d| d.w.clone()).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(DEFAULT_SEED);
-    let effects =
-        manner_effects(&artifact.primitive(), task.task(), &tasks, *duration_secs, &mut rng);
-    artifact.document.manner_space = described(manner_space, &effects, &active);
+    let effects = manner_effects(&*primitive, task.task(), &tasks, *duration_secs, &mut rng);
+    *manner_space = described(manner_space, &effects, &active);
+}
+
+/// What both tables begin with: what was measured on what, and shares of the test cases.
+struct Head<'a> {
+    model: &'a str,
+    data_digest: &'a str,
+    cases: usize,
+    seed: u64,
+    unit: &'a str,
+    /// Names with a score for each threshold.
+    rows: &'a [(&'a str, &'a [Score])],
+}
+
+impl Head<'_> {
+    fn lines(&self) -> Vec<String> {
+        let Self { model, data_digest, cases, seed, unit, rows } = self;
+        let unit = if *unit == "1" { String::new() } else { format!(" {unit}") };
+        let head = |score: &Score| format!("{:<24}", format!("within {}{unit}", score.threshold));
+        let thresholds = rows.first().map_or(&[][..], |(_, scores)| scores);
+        let mut lines = vec![
+            format!(
+                "{model} on data {}: {cases} test cases, seed {seed}",
+                data_digest.get(..12).unwrap_or(data_digest)
+            ),
+            String::new(),
+            format!("{:<22}{}", "", thresholds.iter().map(head).collect::<String>()),
+        ];
+        lines.extend(rows.iter().map(|(name, scores)| row(name, scores)));
+        lines
+    }
+}
+
+/// A measure with its score at each threshold.
+fn row(name: &str, scores: &[Score]) -> String {
+    let cell = |Score { threshold: _, mean, low, high }: &Score| {
+        format!("{:<24}", format!("{mean:.3} [{low:.3}, {high:.3}]"))
+    };
+    format!("{name:<22}{}", scores.iter().map(cell).collect::<String>())
+}
+
+fn joined(lines: &[String]) -> String {
+    lines.iter().map(|line| line.trim_end()).collect::<Vec<_>>().join("\n")
+}
+
+/// The evaluation of a classical primitive as a person reads it.
+fn classical_table(evaluation: &PrimitiveEvaluation, name: &str, unit: &str) -> String {
+    let PrimitiveEvaluation {
+        success,
+        success_and_valid,
+        median_task_error,
+        reconstruction_rmse,
+        cases,
+        seed,
+        model_id,
+        data_digest,
+    } = evaluation;
+    let head = Head {
+        model: &format!("{name} {model_id}"),
+        data_digest,
+        cases: *cases,
+        seed: *seed,
+        unit,
+        rows: &[("success", success), ("success and valid", success_and_valid)],
+    };
+    let mut lines = head.lines();
+    let error = match median_task_error {
+        Some(error) => format!("{error:.4}"),
+        None => "most motions don't show the task".into(),
+    };
+    lines.extend([
+        String::new(),
+        format!("{:<22}{error}", "median task error"),
+        format!("{:<22}{reconstruction_rmse:.4}", "reconstruction rmse"),
+        format!("{:<22}none: one motion for each task", "manner parameters"),
+    ]);
+    joined(&lines)
 }
 
 /// The evaluation as a person reads it: never one of the two metrics without its companions.
@@ -127,24 +231,19 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         model_id,
         data_digest,
     } = evaluation;
-    let unit = if unit == "1" { String::new() } else { format!(" {unit}") };
-    let head = |score: &Score| format!("{:<24}", format!("within {}{unit}", score.threshold));
-    let cell = |Score { threshold: _, mean, low, high }: &Score| {
-        format!("{:<24}", format!("{mean:.3} [{low:.3}, {high:.3}]"))
+    let head = Head {
+        model: &format!("model {model_id}"),
+        data_digest,
+        cases: *cases,
+        seed: *seed,
+        unit,
+        rows: &[
+            ("success", success),
+            ("robustness", robustness),
+            ("robust and valid", robust_and_valid),
+        ],
     };
-    let row = |name: &str, cells: Vec<String>| format!("{name:<22}{}", cells.concat());
-    let scores = |name, scores: &[Score]| row(name, scores.iter().map(cell).collect());
-    let mut lines = vec![
-        format!(
-            "model {model_id} on data {}: {cases} test cases, seed {seed}",
-            data_digest.get(..12).unwrap_or(data_digest)
-        ),
-        String::new(),
-        row("", success.iter().map(head).collect()),
-        scores("success", success),
-        scores("robustness", robustness),
-        scores("robust and valid", robust_and_valid),
-    ];
+    let mut lines = head.lines();
     if !broken_bounds.is_empty() {
         let mut broken: Vec<_> = broken_bounds.iter().collect();
         broken.sort_by(|a, b| b.1.total_cmp(a.1));
@@ -154,8 +253,8 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
     }
     if let Some(PriorScores { robustness, robust_and_valid }) = with_standard_normal_prior {
         lines.push("with latents of N(0, I) instead of the learned prior's:".into());
-        lines.push(scores("robustness", robustness));
-        lines.push(scores("robust and valid", robust_and_valid));
+        lines.push(row("robustness", robustness));
+        lines.push(row("robust and valid", robust_and_valid));
     }
     lines.extend([
         String::new(),
@@ -181,7 +280,7 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
         let told: Vec<_> = told.map(|(factor, r2)| format!("{factor} {r2:.2}")).collect();
         lines.push(format!("{:<22}{}", "R2 of factors from h", told.join(", ")));
     }
-    lines.iter().map(|line| line.trim_end()).collect::<Vec<_>>().join("\n")
+    joined(&lines)
 }
 
 #[cfg(test)]
@@ -190,11 +289,43 @@ mod tests {
 
     use super::*;
 
+    fn scores(mean: f64) -> Vec<Score> {
+        let score = |threshold| Score { threshold, mean, low: mean - 0.01, high: mean + 0.01 };
+        vec![score(0.01), score(0.02)]
+    }
+
+    #[test]
+    fn the_table_of_a_classical_primitive_shows_what_there_is() {
+        let mut evaluation = PrimitiveEvaluation {
+            success: scores(0.9),
+            success_and_valid: scores(0.8),
+            median_task_error: Some(0.004321),
+            reconstruction_rmse: 0.1,
+            cases: 42,
+            seed: 0,
+            model_id: "0123456789ab".into(),
+            data_digest: "fedcba9876543210".into(),
+        };
+        assert_eq!(
+            classical_table(&evaluation, "TP-GMM", "m"),
+            "\
+TP-GMM 0123456789ab on data fedcba987654: 42 test cases, seed 0
+
+                      within 0.01 m           within 0.02 m
+success               0.900 [0.890, 0.910]    0.900 [0.890, 0.910]
+success and valid     0.800 [0.790, 0.810]    0.800 [0.790, 0.810]
+
+median task error     0.0043
+reconstruction rmse   0.1000
+manner parameters     none: one motion for each task"
+        );
+        evaluation.median_task_error = None;
+        let table = classical_table(&evaluation, "TP-GMM", "m");
+        assert!(table.contains("median task error     most motions don't show the task"));
+    }
+
     #[test]
     fn the_table_shows_every_measure() {
-        let score =
-            |threshold, mean| Score { threshold, mean, low: mean - 0.01, high: mean + 0.01 };
-        let scores = |mean| vec![score(0.01, mean), score(0.02, mean)];
         let mut evaluation = Evaluation {
             success: scores(0.9),
             robustness: scores(0.8),

@@ -12,7 +12,6 @@ use serde_json::{Value, json};
 use tcvae::artifact::Artifact;
 use tcvae::demonstrations::TaskConfig;
 use tcvae::parameters::{MannerParameters, TaskParameters, TaskSpace};
-use tcvae::primitive::{MannerConditioned, MovementPrimitive};
 use tcvae::report::{PlottedLocation, PlottedMotion, motions_svg};
 use tcvae::serving::{
     ErrorCode, GivenLocation, MAX_COUNT, Refusal, Sample, SampleReply, SampleRequest, Settings,

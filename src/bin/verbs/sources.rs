@@ -161,9 +161,10 @@ impl Recordings {
         Ok(Examination { robot, task, recordings, synthetic })
     }
 
-    /// The demonstrations, split and multiplied, to train or to evaluate on: those of a data set
-    /// that `tcvae simulate arcs` wrote, or those in recordings, for `task` where it is given.
-    pub(crate) fn data(&self, task: Option<&TaskConfig>) -> anyhow::Result<Data> {
+    /// The demonstrations, split, to train or to evaluate on: those of a data set that `tcvae
+    /// simulate arcs` wrote, or those in recordings, for `task` where it is given; these multiplied
+    /// where `copies` are asked for.
+    pub(crate) fn data(&self, task: Option<&TaskConfig>, copies: Copies) -> anyhow::Result<Data> {
         match self.paths.as_slice() {
             [path] if dataset::is_data_set(path) => {
                 let dataset::DataSet { task, splits, digest } = dataset::load(path)?;
@@ -180,7 +181,7 @@ impl Recordings {
                     Some(task) => task.clone(),
                     None => load_task(self.task.as_deref())?,
                 };
-                Ok(self.examine_for(task)?.data())
+                Ok(self.examine_for(task)?.data(copies))
             }
         }
     }
@@ -225,6 +226,16 @@ impl Recordings {
     }
 }
 
+/// Whether augmentation's copies stand beside the recorded demonstrations. What is tested on, and
+/// the digest of the data, is the same with and without.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Copies {
+    /// As many as the task says, for what a network is fitted to and chosen by.
+    Made,
+    /// None: for primitives of few parameters, which are fitted to what was recorded.
+    LeftOut,
+}
+
 /// The seed of the split and of augmentation. It is not that of a training: what is held out to
 /// test on must be the same for every training on the same data.
 const SPLIT_SEED: u64 = 0;
@@ -247,9 +258,9 @@ pub(crate) struct Data {
 }
 
 impl Examination {
-    /// Splits the accepted demonstrations and multiplies those to train and to validate on. Copies
-    /// that the arm can't follow are drawn anew.
-    fn data(self) -> Data {
+    /// Splits the accepted demonstrations and, where `copies` are asked for, multiplies those to
+    /// train and to validate on. Copies that the arm can't follow are drawn anew.
+    fn data(self, copies: Copies) -> Data {
         let summary = self.summary();
         let Self { robot, task, recordings, synthetic } = self;
         let (demonstrations, mut digest) = demonstrations(recordings);
@@ -263,17 +274,19 @@ impl Examination {
             let poses = task.state_frame().poses(&motion.states);
             follow(&robot.chain, &poses, motion.step_secs(), &FollowOptions::default(), rng).is_ok()
         };
-        let AugmentationReport { made, failed, .. } =
-            task.augmentation.augment(&task, &mut splits, within_reach, &mut rng);
         let [train, validation, test] = parts;
         let mut summary = format!(
-            "{summary}\n{train} to train on, {validation} to validate on and {test} to test on; \
-             with {made} copies {} and {}",
-            splits.train.len(),
-            splits.validation.len()
+            "{summary}\n{train} to train on, {validation} to validate on and {test} to test on"
         );
-        if failed > 0 {
-            let _ = write!(summary, "; {failed} more copies found no place within the arm's reach");
+        if copies == Copies::Made {
+            let AugmentationReport { made, failed, .. } =
+                task.augmentation.augment(&task, &mut splits, within_reach, &mut rng);
+            let [train, validation] = [&splits.train, &splits.validation].map(Vec::len);
+            let _ = write!(summary, "; with {made} copies {train} and {validation}");
+            if failed > 0 {
+                let _ =
+                    write!(summary, "; {failed} more copies found no place within the arm's reach");
+            }
         }
         if few {
             let _ = write!(

@@ -17,7 +17,7 @@ use tcvae::demonstrations::Splits;
 use tcvae::training::TrainingConfig;
 use tcvae::training::sweep::{Ranked, Record, Run, SweepConfig};
 
-use super::sources::Recordings;
+use super::sources::{Copies, Recordings};
 use super::train::{Files, Source, learn, stop_on_signal};
 use super::{ExitStatus, UsageError, evaluate, print_json, print_line};
 
@@ -67,7 +67,8 @@ pub(crate) fn run(args: SweepArgs) -> anyhow::Result<ExitStatus> {
     let runs = sweep.runs().map_err(|e| of_file(&e))?;
     let paths = sweep.data.iter().map(PathBuf::from).collect();
     let [robot, task] = [&sweep.robot, &sweep.task].map(|f| f.as_ref().map(PathBuf::from));
-    let source = Source::load(&Recordings { paths, robot, task, ..Recordings::default() })?;
+    let recordings = Recordings { paths, robot, task, ..Recordings::default() };
+    let source = Source::load(&recordings, Copies::Made)?;
     let output = Path::new(&sweep.output);
     fs::create_dir_all(output).with_context(|| output.display().to_string())?;
 
@@ -137,8 +138,8 @@ fn train(
             let Splits { train, validation, test: _ } = source.splits.clone();
             let splits = Splits { train, test: validation.clone(), validation };
             let seed = evaluate::DEFAULT_SEED;
-            record.validation =
-                Some(evaluate::measure(&artifact, &splits, source.digest.clone(), seed)?);
+            let measured = evaluate::measure(&artifact, &splits, source.digest.clone(), seed)?;
+            record.validation = measured.tc_vae().cloned();
             files.finish(&artifact)?;
         }
         // One that diverged is a result too; a full disk is none.

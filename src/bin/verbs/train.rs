@@ -9,30 +9,46 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use tcvae::artifact::{self, Artifact, DataSource, ModelDocument};
+use tcvae::artifact::{self, Artifact, DataSource, Learned, ModelDocument, TcVaeDocument};
 use tcvae::demonstrations::arcs::ArcsTask;
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::kinematics::RobotRecord;
-use tcvae::model::Backend;
+use tcvae::model::{Backend, Weights};
 use tcvae::parameters::{Interval, MannerSpace, TaskLocation, TaskSpace};
 use tcvae::pose::STATE_NAMES;
+use tcvae::primitives::{ClassicalConfig, DmpConfig, PrimitiveError, ProMpConfig, TpGmmConfig};
 use tcvae::training::sweep::{nested, overlay};
 use tcvae::training::{
     self, Checkpoint, EpochReport, MeanTerms, Outcome, Progress, Trained, TrainingConfig,
 };
 
-use super::sources::{Data, Recordings};
+use super::sources::{Copies, Data, Recordings};
 use super::{ExitStatus, UsageError, evaluate, print_json, print_line};
 
 /// Manner parameters are bounded at this many standard deviations of the prior.
 const MANNER_BOUND: f64 = 3.0;
 /// What a checkpoint's file says it is.
 const CHECKPOINT: &str = "checkpoint";
+
+/// A primitive that can be learned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Primitive {
+    /// Task-conditioned variational autoencoder
+    TcVae,
+    /// Task-parameterised Gaussian mixture: no manner parameters
+    TpGmm,
+    /// Probabilistic movement primitive: no manner parameters
+    #[value(name = "promp")]
+    ProMp,
+    /// Dynamic movement primitive: no manner parameters
+    Dmp,
+}
 
 /// Arguments of `tcvae train`.
 #[derive(Debug, Args)]
@@ -42,10 +58,14 @@ pub(crate) struct TrainArgs {
     /// Model file to write
     #[arg(short, long, value_name = "MODEL")]
     output: PathBuf,
-    /// Settings; what the file leaves out keeps the task's preset (config/train-*.toml)
+    /// What to learn
+    #[arg(long, value_enum, default_value_t = Primitive::TcVae)]
+    primitive: Primitive,
+    /// Settings; what the file leaves out keeps the task's preset (config/train-*.toml), or the
+    /// classical primitive's default
     #[arg(long, value_name = "F.toml")]
     config: Option<PathBuf>,
-    /// One setting, such as `network.width=64`
+    /// One setting, such as `network.width=64`, or `components=10` of a TP-GMM
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
     /// Seed of the start values, of the batches and of the noise
@@ -64,15 +84,27 @@ pub(crate) struct TrainArgs {
 
 pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
     // What can go wrong without learning anything goes wrong first.
+    let copies = match args.primitive {
+        Primitive::TcVae => Copies::Made,
+        _ => {
+            refuse_what_only_a_network_has(&args)?;
+            Copies::LeftOut
+        }
+    };
     let files = Files::beside(&args.output)?;
     let _folder = files.claim()?;
-    let source = Source::load(&args.recordings)?;
-    let config = settings(&args, source.preset())?;
-    let start = args.resume.then(|| files.checkpoint(&config, &source)).transpose()?;
-    let stop = stop_on_signal()?;
+    let source = Source::load(&args.recordings, copies)?;
     let began = Instant::now();
-    let Some(mut artifact) = learn(&files, &source, &config, start, &stop)? else {
-        return Ok(ExitStatus::BelowAsked);
+    let mut artifact = if args.primitive == Primitive::TcVae {
+        let config = network_settings(&args, source.preset())?;
+        let start = args.resume.then(|| files.checkpoint(&config, &source)).transpose()?;
+        let stop = stop_on_signal()?;
+        match learn(&files, &source, &config, start, &stop)? {
+            Some(artifact) => artifact,
+            None => return Ok(ExitStatus::BelowAsked),
+        }
+    } else {
+        fit(&args, &source)?
     };
     // What was learned is kept even where it can't be measured.
     let Source { splits, digest, .. } = &source;
@@ -82,7 +114,46 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
         Err(error) => eprintln!("the model is saved without an evaluation: {error}"),
     }
     files.finish(&artifact)?;
-    Ok(report(&artifact, &files.model, &config, began.elapsed(), args.json))
+    Ok(report(&artifact, &files.model, began.elapsed(), args.json))
+}
+
+/// A classical primitive is fitted in one go and draws nothing.
+fn refuse_what_only_a_network_has(args: &TrainArgs) -> Result<(), UsageError> {
+    let TrainArgs { primitive, seed, backend, resume, .. } = args;
+    for (flag, given) in
+        [("--resume", *resume), ("--seed", seed.is_some()), ("--backend", backend.is_some())]
+    {
+        if given {
+            let primitive = primitive.to_possible_value();
+            let name = primitive.as_ref().map_or("", |value| value.get_name());
+            return Err(UsageError(format!(
+                "{flag} is for --primitive tc-vae; a {name} is fitted at once and draws nothing, so \
+                 leave it out"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Fits a classical primitive to the recorded demonstrations.
+fn fit(args: &TrainArgs, source: &Source) -> anyhow::Result<Artifact> {
+    let steps = source.preset().steps;
+    let config = match args.primitive {
+        Primitive::TpGmm => {
+            ClassicalConfig::TpGmm(settings(args, TpGmmConfig { steps, ..Default::default() })?)
+        }
+        Primitive::ProMp => {
+            ClassicalConfig::ProMp(settings(args, ProMpConfig { steps, ..Default::default() })?)
+        }
+        _ => ClassicalConfig::Dmp(settings(args, DmpConfig { steps, ..Default::default() })?),
+    };
+    let train = &source.splits.train;
+    eprintln!("fitting to {} demonstrations", train.len());
+    let fitted = config.fit(&source.task_space, train).map_err(|error| match error {
+        PrimitiveError::Setting { .. } => UsageError(format!("--set: {error}")).into(),
+        _ => anyhow::Error::from(error),
+    })?;
+    source.artifact(Learned::Classical(fitted), Weights::new())
 }
 
 /// Trains a model, with a checkpoint and a line of metrics after every epoch; none where it was
@@ -116,37 +187,57 @@ pub(super) fn learn(
             );
             Ok(None)
         }
-        Outcome::Finished(trained) => source.artifact(config, *trained).map(Some),
+        Outcome::Finished(trained) => {
+            let Trained { model, normalizer, weights, latents, last_epoch, selected_epoch } =
+                *trained;
+            let learned = Learned::TcVae(TcVaeDocument {
+                training: config.clone(),
+                last_epoch,
+                selected_epoch,
+                manner_space: MannerSpace::unnamed(model.network.latents, MANNER_BOUND),
+                latents,
+                normalizer,
+                model,
+            });
+            source.artifact(learned, weights).map(Some)
+        }
     }
 }
 
 /// The answer, and whether the model is worth anything.
-fn report(
-    artifact: &Artifact,
-    path: &Path,
-    config: &TrainingConfig,
-    took: Duration,
-    json: bool,
-) -> ExitStatus {
-    let latents = &artifact.document.latents;
+fn report(artifact: &Artifact, path: &Path, took: Duration, json: bool) -> ExitStatus {
+    let ModelDocument { learned, training_demonstrations, .. } = &artifact.document;
+    let (name, model_id, seconds) = (learned.name(), artifact.model_id(), took.as_secs_f64());
+    let shown = path.display();
+    let Learned::TcVae(TcVaeDocument { training, last_epoch, latents, .. }) = learned else {
+        if json {
+            print_json(&json!({
+                "model": path, "model_id": model_id, "primitive": name,
+                "demonstrations": training_demonstrations, "seconds": seconds,
+            }));
+        } else {
+            print_line(&format!(
+                "{shown}: model {model_id}, a {name} of {training_demonstrations} demonstrations \
+                 in {seconds:.1} s"
+            ));
+        }
+        return ExitStatus::Done;
+    };
     let active = latents.iter().filter(|l| l.kl > MeanTerms::ACTIVE_KL).count();
     // Fewer than asked for, where the training stopped early.
-    let epochs = artifact.document.last_epoch.as_ref().map_or(0, |last| last.epoch);
+    let epochs = last_epoch.as_ref().map_or(0, |last| last.epoch);
     if json {
         print_json(&json!({
-            "model": path, "model_id": artifact.model_id(), "epochs": epochs,
-            "seed": config.seed, "active_latents": active,
+            "model": path, "model_id": model_id, "primitive": name, "epochs": epochs,
+            "seed": training.seed, "active_latents": active,
             "kl": latents.iter().map(|l| l.kl).collect::<Vec<_>>(),
-            "seconds": took.as_secs_f64(),
+            "seconds": seconds,
         }));
     } else {
         print_line(&format!(
-            "{}: model {}, {active} of {} latents active, {} epochs in {:.0} s",
-            path.display(),
-            artifact.model_id(),
+            "{shown}: model {model_id}, {active} of {} latents active, {epochs} epochs in \
+             {seconds:.0} s",
             latents.len(),
-            epochs,
-            took.as_secs_f64()
         ));
     }
     if active == 0 {
@@ -154,15 +245,24 @@ fn report(
             "the model has collapsed: no latent is active (mean KL above {} nat), so every manner \
              gives the same motion; lower beta (now {}) or raise alpha more slowly",
             MeanTerms::ACTIVE_KL,
-            config.beta
+            training.beta
         );
         return ExitStatus::BelowAsked;
     }
     ExitStatus::Done
 }
 
-/// The task's preset, the file's settings over it, and the command line's over those.
-fn settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<TrainingConfig> {
+/// The settings of a TC-VAE's training; what has a flag of its own counts most.
+fn network_settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<TrainingConfig> {
+    let mut config = settings(args, preset)?;
+    config.seed = args.seed.unwrap_or(config.seed);
+    config.backend = args.backend.unwrap_or(config.backend);
+    config.check().map_err(|e| UsageError(e.to_string()))?;
+    Ok(config)
+}
+
+/// The preset, the file's settings over it, and the command line's over those.
+fn settings<C: Serialize + DeserializeOwned>(args: &TrainArgs, preset: C) -> anyhow::Result<C> {
     let usage = |message: String| anyhow::Error::from(UsageError(message));
     let mut table = toml::Table::try_from(preset).expect("settings are TOML");
     if let Some(path) = &args.config {
@@ -170,7 +270,7 @@ fn settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<Training
         let text = fs::read_to_string(path).map_err(|e| of_file(&e))?;
         let file: toml::Table = text.parse().map_err(|e| of_file(&e))?;
         // By itself first, so that what is wrong is shown with its line.
-        toml::from_str::<TrainingConfig>(&text).map_err(|e| of_file(&e))?;
+        toml::from_str::<C>(&text).map_err(|e| of_file(&e))?;
         overlay(&mut table, file);
     }
     for setting in &args.set {
@@ -179,12 +279,7 @@ fn settings(args: &TrainArgs, preset: TrainingConfig) -> anyhow::Result<Training
         };
         overlay(&mut table, nested(key.trim(), self::value(value.trim())));
     }
-    let mut config: TrainingConfig =
-        table.try_into().map_err(|e: toml::de::Error| usage(format!("--set: {}", e.message())))?;
-    config.seed = args.seed.unwrap_or(config.seed);
-    config.backend = args.backend.unwrap_or(config.backend);
-    config.check().map_err(|e| usage(e.to_string()))?;
-    Ok(config)
+    table.try_into().map_err(|e: toml::de::Error| usage(format!("--set: {}", e.message())))
 }
 
 /// The value as TOML; what is none is a string.
@@ -207,8 +302,9 @@ pub(super) struct Source {
 }
 
 impl Source {
-    pub(super) fn load(recordings: &Recordings) -> anyhow::Result<Self> {
-        let Data { task, splits, digest, source, robot, summary } = recordings.data(None)?;
+    pub(super) fn load(recordings: &Recordings, copies: Copies) -> anyhow::Result<Self> {
+        let Data { task, splits, digest, source, robot, summary } =
+            recordings.data(None, copies)?;
         eprintln!("{summary}");
         let (space, state_names, reference) = match &task {
             TaskConfig::Pouring(task) => {
@@ -236,29 +332,22 @@ impl Source {
         }
     }
 
-    fn artifact(&self, config: &TrainingConfig, trained: Trained) -> anyhow::Result<Artifact> {
-        let Trained { model, normalizer, weights, latents, last_epoch, selected_epoch } = trained;
+    fn artifact(&self, learned: Learned, weights: Weights) -> anyhow::Result<Artifact> {
         let train = &self.splits.train;
         let tasks: Vec<_> = train.iter().map(|d| d.w.values().to_vec()).collect();
         let document = ModelDocument {
-            training: config.clone(),
-            last_epoch,
-            selected_epoch,
+            learned,
             git_revision: env!("TCVAE_GIT_REVISION").into(),
             data_digest: self.digest.clone(),
             data_source: self.data_source,
             training_demonstrations: train.len(),
             task_space: self.task_space.clone(),
-            manner_space: MannerSpace::unnamed(model.network.latents, MANNER_BOUND),
-            latents,
             state_names: self.state_names.clone(),
             duration_secs: median_duration_secs(train),
-            normalizer,
             state_reference_xyzw: self.state_reference_xyzw,
             task: self.task.clone(),
             robot: self.robot.clone(),
             evaluation: None,
-            model,
         };
         Ok(Artifact::new(document, weights, &tasks)?)
     }
@@ -582,6 +671,7 @@ mod tests {
         TrainArgs {
             recordings: Recordings::default(),
             output: "model.safetensors".into(),
+            primitive: Primitive::TcVae,
             config: None,
             set: set.iter().map(|s| s.to_string()).collect(),
             seed: None,
@@ -601,7 +691,7 @@ mod tests {
             seed: Some(5),
             ..args(&["epochs=4", "network.activation=relu", "beta=2"])
         };
-        let config = settings(&args, TrainingConfig::pouring()).unwrap();
+        let config = network_settings(&args, TrainingConfig::pouring()).unwrap();
         let pouring = TrainingConfig::pouring();
         let network = tcvae::model::NetworkConfig {
             width: 16,
@@ -616,7 +706,7 @@ mod tests {
     #[test]
     fn what_is_no_setting_is_wrong_usage() {
         for set in ["epoch=3", "network.depth=3", "epochs=many", "epochs", "batch=0"] {
-            let error = settings(&args(&[set]), TrainingConfig::default()).unwrap_err();
+            let error = network_settings(&args(&[set]), TrainingConfig::default()).unwrap_err();
             assert_eq!(ExitStatus::of(&error), ExitStatus::WrongUsage, "{set}: {error}");
         }
     }

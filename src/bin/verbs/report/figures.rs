@@ -3,10 +3,10 @@
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
-use tcvae::artifact::Artifact;
-use tcvae::demonstrations::TaskConfig;
+use tcvae::artifact::{Artifact, Learned};
+use tcvae::demonstrations::{Demonstration, TaskConfig};
+use tcvae::evaluation::ACTIVE_KL_NATS;
 use tcvae::parameters::{MannerParameters, TaskParameters};
-use tcvae::primitive::MannerConditioned;
 use tcvae::report::{
     Block, Curve, Panel, Plane, PlottedMotion, locations_svg, paths_svg, tilts_svg,
 };
@@ -89,6 +89,10 @@ fn traversals<T>(
 ) -> Vec<Panel<Curve<T>>> {
     let primitive = artifact.primitive();
     let space = primitive.manner_space();
+    let active = |axis: usize| match &artifact.document.learned {
+        Learned::TcVae(model) => model.latents[axis].kl > ACTIVE_KL_NATS,
+        Learned::Classical(_) => false,
+    };
     let panel = |(axis, name): (usize, String)| {
         let curve = |&value: &f64| {
             let mut h = vec![0.0; space.dim()];
@@ -97,8 +101,7 @@ fn traversals<T>(
             let motion = primitive.decode(w, &h).motion(artifact.document.duration_secs);
             Curve { value, shown: shown(motion) }
         };
-        let active = artifact.document.latents[axis].kl > tcvae::evaluation::ACTIVE_KL_NATS;
-        let title = if active { name } else { format!("{name} (inactive)") };
+        let title = if active(axis) { name } else { format!("{name} (inactive)") };
         Panel { title, shown: VALUES.iter().map(curve).collect() }
     };
     space.names().into_iter().enumerate().map(panel).collect()
@@ -110,7 +113,7 @@ fn locations(row: &Loaded<'_>, sources: &Sources, seed: u64) -> Panel<Vec<(f64, 
     let (primitive, task) = (artifact.primitive(), artifact.document.task.task());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let cases = &sources.of(artifact).splits.test;
-    let of_case = |case: &tcvae::demonstrations::Demonstration| {
+    let of_case = |case: &Demonstration| {
         let [x, y] = case.w.location(0);
         let mut sample = || {
             let h = primitive.sample_manner(&mut rng);

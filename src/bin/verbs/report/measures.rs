@@ -3,14 +3,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use tcvae::artifact::{self, Artifact};
 use tcvae::demonstrations::Splits;
-use tcvae::evaluation::{CaseOutcome, Evaluation};
+use tcvae::evaluation::{CaseOutcome, Evaluation, ModelEvaluation};
 
 use super::super::evaluate;
 use super::{Loaded, Sources, TestSet};
@@ -18,9 +18,19 @@ use super::{Loaded, Sources, TestSet};
 /// What was measured of one model on one test set.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Measured {
-    pub(super) evaluation: Evaluation,
+    pub(super) evaluation: ModelEvaluation,
     /// One for each test case.
     pub(super) outcomes: Vec<CaseOutcome>,
+}
+
+impl Measured {
+    /// The evaluation of a model with manner parameters.
+    pub(super) fn with_manner(&self) -> Option<&Evaluation> {
+        match &self.evaluation {
+            ModelEvaluation::TcVae(evaluation) => Some(evaluation),
+            ModelEvaluation::Classical(_) => None,
+        }
+    }
 }
 
 pub(super) struct Measures<'a> {
@@ -47,6 +57,15 @@ impl Measures<'_> {
                     known.push((task, splits, digest));
                 }
             }
+        }
+        if let [(_, first, _), others @ ..] = known.as_slice()
+            && let Some((_, other, _)) = others.iter().find(|o| o.1.test.len() != first.test.len())
+        {
+            let (test, a, b) = (&test.name, first.test.len(), other.test.len());
+            bail!(
+                "{test}: rows have {a} and {b} test cases, as their tasks differ; compare rows of \
+                 one task"
+            );
         }
         for row in rows {
             let measure = |artifact: &Artifact| {

@@ -17,7 +17,7 @@ use tcvae::artifact::{self, Artifact};
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::report::{Block, Page};
 
-use super::sources::{Data, Recordings};
+use super::sources::{Copies, Data, Recordings};
 use super::{ExitStatus, UsageError, print_json, print_line};
 use measures::Measures;
 
@@ -268,7 +268,7 @@ impl Sources {
         for artifact in rows.iter().flat_map(|row| &row.models) {
             let task = &artifact.document.task;
             if !data.contains_key(&key(task)) {
-                let found = recordings.data(Some(task))?;
+                let found = recordings.data(Some(task), Copies::Made)?;
                 eprintln!("{}", found.summary);
                 data.insert(key(task), found);
             }

@@ -4,10 +4,13 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use serde_json::json;
 
-use tcvae::evaluation::CaseOutcome;
+use tcvae::artifact::Learned;
 use tcvae::evaluation::comparison::{Comparison, Outcomes};
 use tcvae::evaluation::intervals::Share;
+use tcvae::evaluation::{CaseOutcome, Evaluation, ModelEvaluation};
+use tcvae::parameters::MannerAxis;
 use tcvae::report::Block;
+use tcvae::training::LatentStatistics;
 
 use super::measures::Measured;
 use super::{Deviation, Loaded, Paper, Part, Sources, TestSet};
@@ -42,22 +45,20 @@ pub(super) fn of_test(
     measured: &[Vec<Measured>],
     seed: u64,
 ) -> Vec<Block> {
-    let first = &measured[0][0].evaluation;
-    let digest = first.data_digest.get(..12).unwrap_or(&first.data_digest);
-    let about = format!("{}, {}: {} cases, data {digest}", part.title, test.name, first.cases);
-    let thresholds: Vec<f64> = first.success.iter().map(|score| score.threshold).collect();
-    let mut scores = Vec::new();
+    let (digest, cases, success) = match &measured[0][0].evaluation {
+        ModelEvaluation::TcVae(e) => (&e.data_digest, e.cases, &e.success),
+        ModelEvaluation::Classical(e) => (&e.data_digest, e.cases, &e.success),
+    };
+    let digest = digest.get(..12).unwrap_or(digest);
+    let about = format!("{}, {}: {cases} cases, data {digest}", part.title, test.name);
+    let mut columns = Vec::new();
     for metric in METRICS {
-        for (i, threshold) in thresholds.iter().enumerate() {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let rows: Vec<Outcomes> =
-                measured.iter().map(|row| outcomes(row, &metric, i)).collect();
-            let comparison = Comparison::new(&rows, &mut rng);
-            scores.push(Column { metric, threshold: *threshold, place: i, comparison });
+        for (i, score) in success.iter().enumerate() {
+            columns.extend(Column::new(metric, score.threshold, i, measured, seed));
         }
     }
-    let mut blocks = vec![scores_table(&about, rows, &scores), companions(&about, rows, measured)];
-    blocks.extend(differences(&about, part, rows, &scores));
+    let mut blocks = vec![scores_table(&about, rows, &columns), companions(&about, rows, measured)];
+    blocks.extend(differences(&about, part, rows, &columns));
     blocks
 }
 
@@ -68,26 +69,57 @@ struct Column {
     /// Place of the threshold among all.
     place: usize,
     comparison: Comparison,
+    /// Place of each row in the comparison; none for a row without the metric.
+    compared: Vec<Option<usize>>,
 }
 
 impl Column {
+    /// None where no row has the metric.
+    fn new(
+        metric: Metric,
+        threshold: f64,
+        place: usize,
+        measured: &[Vec<Measured>],
+        seed: u64,
+    ) -> Option<Self> {
+        let mut outcomes: Vec<Outcomes> = Vec::new();
+        let mut compared = Vec::new();
+        for row in measured {
+            let of_seed = |m: &Measured| -> Option<Vec<f64>> {
+                m.outcomes.iter().map(|o| (metric.of_case)(o).get(place).copied()).collect()
+            };
+            let of_row: Option<Outcomes> = row.iter().map(of_seed).collect();
+            compared.push(of_row.is_some().then_some(outcomes.len()));
+            outcomes.extend(of_row);
+        }
+        if outcomes.is_empty() {
+            return None;
+        }
+        let comparison = Comparison::new(&outcomes, &mut ChaCha8Rng::seed_from_u64(seed));
+        Some(Self { metric, threshold, place, comparison, compared })
+    }
+
     fn head(&self) -> String {
         format!("{} @ {}", self.metric.name, self.threshold)
     }
-}
 
-fn outcomes(row: &[Measured], metric: &Metric, threshold: usize) -> Outcomes {
-    let of_seed = |measured: &Measured| {
-        measured.outcomes.iter().map(|outcome| (metric.of_case)(outcome)[threshold]).collect()
-    };
-    row.iter().map(of_seed).collect()
+    fn mean(&self, row: usize) -> String {
+        self.compared[row].map_or("-".into(), |row| share(self.comparison.mean(row)))
+    }
+
+    fn difference(&self, row: usize, other: usize) -> String {
+        match (self.compared[row], self.compared[other]) {
+            (Some(a), Some(b)) => share(self.comparison.difference(a, b)),
+            _ => "-".into(),
+        }
+    }
 }
 
 /// The paper's table 2 beside ours.
 fn scores_table(about: &str, rows: &[Loaded<'_>], columns: &[Column]) -> Block {
     let mut lines = Vec::new();
     for (i, row) in rows.iter().enumerate() {
-        let cells = columns.iter().map(|column| share(column.comparison.mean(i)));
+        let cells = columns.iter().map(|column| column.mean(i));
         let name = format!("{} ({} seeds)", row.config.name, row.models.len());
         lines.push([name].into_iter().chain(cells).collect());
         if let Some(paper) = &row.config.paper {
@@ -112,28 +144,35 @@ fn scores_table(about: &str, rows: &[Loaded<'_>], columns: &[Column]) -> Block {
 /// What no share may be read without.
 fn companions(about: &str, rows: &[Loaded<'_>], measured: &[Vec<Measured>]) -> Block {
     let line = |(row, measured): (&Loaded<'_>, &Vec<Measured>)| {
-        let all = |of: &dyn Fn(&Measured) -> Option<f64>| {
-            let values: Vec<f64> = measured.iter().filter_map(of).collect();
-            spread(&values)
+        let all = |of: &dyn Fn(&Evaluation) -> Option<f64>| {
+            let values = measured.iter().filter_map(Measured::with_manner).filter_map(of);
+            spread(&values.collect::<Vec<_>>())
         };
-        let latents = row.models[0].document.model.network.latents;
+        let rmse: Vec<f64> = measured
+            .iter()
+            .map(|m| match &m.evaluation {
+                ModelEvaluation::TcVae(e) => e.reconstruction_rmse,
+                ModelEvaluation::Classical(e) => e.reconstruction_rmse,
+            })
+            .collect();
+        let active = match row.models[0].primitive().manner_space().dim() {
+            0 => "no manner".into(),
+            latents => format!("{} of {latents}", all(&|e| Some(e.active_latents as f64))),
+        };
         vec![
             row.config.name.clone(),
-            format!("{} of {latents}", all(&|m| Some(m.evaluation.active_latents as f64))),
-            all(&|m| Some(m.evaluation.reconstruction_rmse)),
-            all(&|m| Some(m.evaluation.leak_r2)),
-            all(&|m| Some(m.evaluation.swap)),
-            all(&|m| {
-                let normal = m.evaluation.with_standard_normal_prior.as_ref()?;
-                Some(normal.robust_and_valid[0].mean)
-            }),
-            all(&|m| m.evaluation.calibration.map(|c| c.within_one)),
-            all(&|m| m.evaluation.calibration.map(|c| c.within_two)),
-            all(&|m| m.evaluation.disentanglement.as_ref().map(|d| d.disentanglement)),
-            all(&|m| m.evaluation.disentanglement.as_ref().map(|d| d.completeness)),
-            all(&|m| m.evaluation.disentanglement.as_ref().map(|d| d.mig)),
-            all(&|m| {
-                let measured = m.evaluation.disentanglement.as_ref()?;
+            active,
+            spread(&rmse),
+            all(&|e| Some(e.leak_r2)),
+            all(&|e| Some(e.swap)),
+            all(&|e| Some(e.with_standard_normal_prior.as_ref()?.robust_and_valid[0].mean)),
+            all(&|e| e.calibration.map(|c| c.within_one)),
+            all(&|e| e.calibration.map(|c| c.within_two)),
+            all(&|e| e.disentanglement.as_ref().map(|d| d.disentanglement)),
+            all(&|e| e.disentanglement.as_ref().map(|d| d.completeness)),
+            all(&|e| e.disentanglement.as_ref().map(|d| d.mig)),
+            all(&|e| {
+                let measured = e.disentanglement.as_ref()?;
                 measured.informativeness.iter().copied().reduce(f64::min)
             }),
         ]
@@ -166,7 +205,7 @@ fn differences(about: &str, part: &Part, rows: &[Loaded<'_>], columns: &[Column]
     let place = |name: &String| rows.iter().position(|row| row.config.name == *name);
     let line = |[a, b]: &[String; 2]| {
         let (i, j) = (place(a)?, place(b)?);
-        let cells = columns.iter().map(|column| share(column.comparison.difference(i, j)));
+        let cells = columns.iter().map(|column| column.difference(i, j));
         Some([format!("{a} less {b}")].into_iter().chain(cells).collect())
     };
     let lines: Vec<Vec<String>> = part.compare.iter().filter_map(line).collect();
@@ -184,21 +223,20 @@ pub(super) fn manners(part: &Part, rows: &[Loaded<'_>]) -> Vec<Block> {
     names.sort();
     names.dedup();
     let table = |name: &String| {
-        let document = &super::row(rows, name).models[0].document;
-        let line = |(axis, latent): (
-            &tcvae::parameters::MannerAxis,
-            &tcvae::training::LatentStatistics,
-        )| {
+        let Learned::TcVae(model) = &super::row(rows, name).models[0].document.learned else {
+            return None;
+        };
+        let line = |(axis, latent): (&MannerAxis, &LatentStatistics)| {
             vec![axis.name.clone(), axis.effect.clone(), format!("{:.2}", latent.kl)]
         };
-        let axes = document.manner_space.axes().iter().zip(&document.latents);
-        Block::Table {
+        let axes = model.manner_space.axes().iter().zip(&model.latents);
+        Some(Block::Table {
             caption: format!("{}, {name}: what each manner parameter does, first seed", part.title),
             head: ["manner parameter", "effect", "KL (nat)"].map(String::from).to_vec(),
             rows: axes.map(line).collect(),
-        }
+        })
     };
-    names.into_iter().map(table).collect()
+    names.into_iter().filter_map(table).collect()
 }
 
 pub(super) fn deviations(deviations: &[Deviation]) -> Block {
