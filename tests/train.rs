@@ -79,14 +79,15 @@ fn one_seed_gives_one_file_and_the_file_says_how_it_was_made() {
     let center = &document.task_space.locations()[0];
     assert!(center.x.lower >= 0.0 && center.x.upper <= 1.0 && center.x.upper > 0.8);
 
-    // One line of metrics for each epoch, and nothing half-done left behind.
+    // One line of metrics for each epoch, below its head in the table, and nothing half-done left behind.
     assert_eq!(lines(folder.path().join("a/m.metrics.jsonl")), 6);
+    assert_eq!(lines(folder.path().join("a/m.metrics.csv")), 7);
     let mut left: Vec<_> = fs::read_dir(folder.path().join("a"))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     left.sort();
-    assert_eq!(left, ["m.metrics.jsonl", "m.safetensors"]);
+    assert_eq!(left, ["m.metrics.csv", "m.metrics.jsonl", "m.safetensors"]);
 }
 
 #[cfg(unix)]

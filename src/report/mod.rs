@@ -6,7 +6,7 @@ mod panels;
 
 pub use motions::{PlottedLocation, PlottedMotion, motions_svg};
 pub use page::{Block, Page};
-pub use panels::{Curve, Panel, Plane, locations_svg, paths_svg, tilts_svg};
+pub use panels::{Curve, Panel, Plane, Points, locations_svg, paths_svg, tilts_svg};
 
 use std::fmt::Display;
 

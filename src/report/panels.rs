@@ -26,6 +26,9 @@ const SCALE: u32 = 8;
 /// Values that a traversal's colours stand for, from -SPAN to SPAN standard deviations.
 const SPAN: f64 = 2.0;
 
+/// Points of a plane.
+pub type Points = Vec<(f64, f64)>;
+
 /// One small picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panel<T> {
@@ -64,7 +67,7 @@ pub struct Plane {
 /// What the drawing library reports.
 pub fn paths_svg(
     title: &str,
-    panels: &[Panel<Curve<Vec<(f64, f64)>>>],
+    panels: &[Panel<Curve<Points>>],
     plane: &Plane,
 ) -> Result<String, PlotError> {
     let points = panels.iter().flat_map(|p| &p.shown).flat_map(|c| &c.shown).copied();
@@ -89,7 +92,7 @@ pub fn paths_svg(
 /// What the drawing library reports.
 pub fn locations_svg(
     title: &str,
-    panels: &[Panel<Vec<(f64, f64)>>],
+    panels: &[Panel<Points>],
     plane: &Plane,
     half_width: f64,
 ) -> Result<String, PlotError> {

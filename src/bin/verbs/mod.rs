@@ -2,6 +2,7 @@
 
 pub(crate) mod evaluate;
 pub(crate) mod inspect;
+mod metrics;
 pub(crate) mod report;
 pub(crate) mod sample;
 pub(crate) mod simulate;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,6 +28,7 @@ use tcvae::training::{
     self, Checkpoint, EpochReport, MeanTerms, Outcome, Progress, Trained, TrainingConfig,
 };
 
+use super::metrics::{Metrics, MetricsLine};
 use super::sources::{Copies, Data, Recordings};
 use super::{ExitStatus, UsageError, evaluate, print_json, print_line};
 
@@ -495,20 +496,11 @@ struct Log<'a> {
     files: &'a Files,
     config: &'a TrainingConfig,
     digest: &'a str,
-    metrics: File,
+    metrics: Metrics,
     bar: Option<ProgressBar>,
     epoch_began: Instant,
     /// The first thing that could not be written; later ones follow from it.
     failure: Option<anyhow::Error>,
-}
-
-/// A line of the metrics file.
-#[derive(Serialize, Deserialize)]
-struct MetricsLine {
-    #[serde(flatten)]
-    report: EpochReport,
-    active_latents: usize,
-    seconds: f64,
 }
 
 impl<'a> Log<'a> {
@@ -518,20 +510,9 @@ impl<'a> Log<'a> {
         source: &'a Source,
         start: Option<&Checkpoint>,
     ) -> anyhow::Result<Self> {
-        let path = || files.metrics.display().to_string();
-        let done = start.map_or(0, |s| s.epochs);
         // Of a training that goes on, the epochs that its checkpoint knows of.
-        let old = match start {
-            Some(_) => fs::read_to_string(&files.metrics).unwrap_or_default(),
-            None => String::new(),
-        };
-        let mut metrics = File::create(&files.metrics).with_context(path)?;
-        for line in old.lines() {
-            let epoch = serde_json::from_str::<MetricsLine>(line).map(|m| m.report.epoch);
-            if epoch.is_ok_and(|epoch| epoch <= done) {
-                writeln!(metrics, "{line}").with_context(path)?;
-            }
-        }
+        let done = start.map_or(0, |s| s.epochs);
+        let metrics = Metrics::keeping(&files.metrics, done)?;
         let Splits { train, validation, .. } = &source.splits;
         let from = if done > 0 { format!(", from epoch {}", done + 1) } else { String::new() };
         eprintln!(
@@ -588,9 +569,7 @@ impl<'a> Log<'a> {
     ) -> anyhow::Result<()> {
         let active_latents = report.validation.active_latents();
         let line = MetricsLine { report: report.clone(), active_latents, seconds };
-        let line = serde_json::to_string(&line)?;
-        writeln!(self.metrics, "{line}")
-            .with_context(|| self.files.metrics.display().to_string())?;
+        self.metrics.add(&line)?;
         let document = CheckpointDocument {
             training: self.config.clone(),
             data_digest: self.digest.into(),

@@ -8,7 +8,7 @@ use tcvae::demonstrations::{Demonstration, TaskConfig};
 use tcvae::evaluation::ACTIVE_KL_NATS;
 use tcvae::parameters::{MannerParameters, TaskParameters};
 use tcvae::report::{
-    Block, Curve, Panel, Plane, PlottedMotion, locations_svg, paths_svg, tilts_svg,
+    Block, Curve, Panel, Plane, PlottedMotion, Points, locations_svg, paths_svg, tilts_svg,
 };
 use tcvae::trajectory::Motion;
 
@@ -108,7 +108,7 @@ fn traversals<T>(
 }
 
 /// How far from their task samples achieve it: points of one set belong to one task.
-fn locations(row: &Loaded<'_>, sources: &Sources, seed: u64) -> Panel<Vec<(f64, f64)>> {
+fn locations(row: &Loaded<'_>, sources: &Sources, seed: u64) -> Panel<Points> {
     let artifact = &row.models[0];
     let (primitive, task) = (artifact.primitive(), artifact.document.task.task());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);

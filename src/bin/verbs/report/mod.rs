@@ -5,6 +5,7 @@ mod measures;
 mod tables;
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -267,10 +268,9 @@ impl Sources {
         let mut data = HashMap::new();
         for artifact in rows.iter().flat_map(|row| &row.models) {
             let task = &artifact.document.task;
-            if !data.contains_key(&key(task)) {
-                let found = recordings.data(Some(task), Copies::Made)?;
+            if let Entry::Vacant(entry) = data.entry(key(task)) {
+                let found = entry.insert(recordings.data(Some(task), Copies::Made)?);
                 eprintln!("{}", found.summary);
-                data.insert(key(task), found);
             }
         }
         Ok(Self { data, recordings })
