@@ -351,6 +351,9 @@ impl Artifact {
         let primitive = self.build()?;
         let ModelDocument { learned, task_space, state_names, duration_secs, .. } = &self.document;
         let document = |detail| Err(ArtifactError::Document { detail });
+        if let Err(setting) = self.document.task.check() {
+            return document(format!("the task's {setting}"));
+        }
         if task_space.dim() == 0 {
             return document("a task space without locations".into());
         }
@@ -551,6 +554,7 @@ mod tests {
 
     use super::*;
     use crate::demonstrations::arcs::{ArcStart, ArcsTask};
+    use crate::demonstrations::pouring::PouringTask;
     use crate::model::{Layout, NetworkConfig};
     use crate::parameters::TaskParameters;
     use crate::primitive::MovementPrimitive;
@@ -674,6 +678,19 @@ mod tests {
             let missing = Artifact::from_bytes(&encode(&Weights::new(), "model", &document));
             assert!(missing.unwrap_err().to_string().contains("training.tasks is missing"));
         }
+    }
+
+    #[test]
+    fn a_task_that_can_not_be_is_refused_by_its_setting() {
+        let mut task = PouringTask::default();
+        task.augmentation.max_stretch = 1.5;
+        let Artifact { mut document, tensors } = artifact();
+        document.task = TaskConfig::Pouring(task);
+        let error = Artifact::from_bytes(&encode(&tensors, "model", &document)).unwrap_err();
+        assert!(
+            error.to_string().contains("the task's augmentation.max_stretch is 1.5"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -57,13 +57,36 @@ impl TcVaePrimitive {
             0 => None,
             k => Some(LearnedPrior::from_weights(config.network.latents, k, weights)?),
         };
-        let (h, w) = (vec![0.0; config.network.latents], vec![0.0; config.task_dim]);
-        let mut workspace = decoder.workspace(1);
-        let decoded = decoder.decode(&h, &w, &mut workspace);
-        if !decoded.mean.iter().chain(decoded.log_variance).all(|v| v.is_finite()) {
-            return Err(ModelError::NotFinite);
+        let primitive = Self { units, decoder, prior, task_space, manner_space };
+        if primitive.decodes_to_numbers() { Ok(primitive) } else { Err(ModelError::NotFinite) }
+    }
+
+    /// Whether the decoder stays finite in the middle of the tasks, at the prior's mean and at the ends
+    /// of every manner parameter.
+    fn decodes_to_numbers(&self) -> bool {
+        let mean = MannerParameters::mean(&self.manner_space).values().to_vec();
+        let ends = self.manner_space.axes().iter().enumerate().flat_map(|(i, axis)| {
+            [axis.lower, axis.upper].map(|end| {
+                let mut h = mean.clone();
+                h[i] = end;
+                h
+            })
+        });
+        let w = vec![0.0; self.decoder.config().task_dim];
+        let mut workspace = self.workspace();
+        [mean.clone()].into_iter().chain(ends).all(|h| {
+            let latents = self.latents(&h).iter().map(|h| *h as f32).collect::<Vec<_>>();
+            let decoded = self.decoder.decode(&latents, &w, &mut workspace);
+            decoded.mean.iter().chain(decoded.log_variance).all(|v| v.is_finite())
+        })
+    }
+
+    /// What the decoder is given for manner parameters.
+    fn latents(&self, h: &[f64]) -> Vec<f64> {
+        match &self.prior {
+            Some(prior) => prior.latents(h),
+            None => h.to_vec(),
         }
-        Ok(Self { units, decoder, prior, task_space, manner_space })
     }
 
     /// Buffers for [`Self::decode_with`].
@@ -81,10 +104,7 @@ impl TcVaePrimitive {
         h: &MannerParameters,
         workspace: &mut Workspace,
     ) -> Generated {
-        match &self.prior {
-            Some(prior) => self.decode_at(w, &prior.latents(h.values()), workspace),
-            None => self.decode_at(w, h.values(), workspace),
-        }
+        self.decode_at(w, &self.latents(h.values()), workspace)
     }
 
     fn decode_at(
@@ -196,6 +216,7 @@ impl MannerConditioned for TcVaePrimitive {
 
 #[cfg(test)]
 mod tests {
+    use super::super::NamedTensor;
     use super::super::config::Activation;
     use super::super::layout::tests::{small, weights};
     use super::super::normalizer::tests::{demonstrations, space};
@@ -263,6 +284,29 @@ mod tests {
         let primitive = primitive(3.0);
         let w = TaskParameters::new(&space(), vec![1e300, -1e300, 1e9, 0.0]).unwrap();
         assert!(primitive.generate(&w).mean.values().iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn a_prior_that_leads_beyond_all_numbers_is_refused() {
+        let mut config = small(Activation::Gelu, true);
+        config.network.prior_components = 1;
+        let units = Units::fit(&config, &demonstrations(50, config.steps, 1));
+        let build = |deviation: f32| {
+            let mut weights = weights(&config, 1);
+            let mut add = |name: &str, shape: &[usize], values: Vec<f32>| {
+                weights.insert(name.into(), NamedTensor { shape: shape.to_vec(), values });
+            };
+            add("prior.weights", &[1], vec![1.0]);
+            add("prior.means", &[1, 3], vec![0.0; 3]);
+            let identity = (0..9).map(|i| if i % 4 == 0 { 1.0 } else { 0.0 });
+            let factor = identity.map(|v: f32| v * deviation).collect();
+            add("prior.factors", &[1, 3, 3], factor);
+            let manner = MannerSpace::unnamed(3, 3.0);
+            TcVaePrimitive::new(&config, &units.normalizer, &weights, space(), manner)
+        };
+        assert!(build(1.0).is_ok());
+        // The median of its samples is 0, where the decoder is fine.
+        assert!(matches!(build(3e38), Err(ModelError::NotFinite)));
     }
 
     #[test]
