@@ -1,6 +1,8 @@
 //! What a primitive without manner parameters achieves: it has one motion for each task, so SUCCESS
 //! is all there is of the paper's metrics.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -20,6 +22,9 @@ pub struct PrimitiveEvaluation {
     pub success: Vec<Score>,
     /// Share of those that are inside the task's validity bounds too.
     pub success_and_valid: Vec<Score>,
+    /// Share of the motions that show the task and break a bound of validity, for each bound that any
+    /// breaks.
+    pub broken_bounds: BTreeMap<String, f64>,
     /// Median over the cases of the distance between the task and the one that the generated motion
     /// achieves, in the task's unit; none where most motions don't show the task at all.
     pub median_task_error: Option<f64>,
@@ -76,6 +81,7 @@ pub fn evaluate_primitive_cases<P: MovementPrimitive + ?Sized>(
         return Err(EvaluationError::TooFew { split, found, needed });
     }
     let (mut errors, mut valid_errors) = (Vec::new(), Vec::new());
+    let mut broken_bounds = BTreeMap::new();
     let mut square_error = 0.0;
     for case in cases {
         check_same(primitive, case)?;
@@ -85,7 +91,15 @@ pub fn evaluate_primitive_cases<P: MovementPrimitive + ?Sized>(
             Ok(measured) => primitive.task_space().distance(&measured, &case.w),
             Err(_) => f64::INFINITY,
         };
-        let valid = error.is_finite() && task.violations(&motion).is_empty();
+        let broken = match error.is_finite() {
+            true => task.violations(&motion),
+            false => Vec::new(),
+        };
+        for violation in &broken {
+            *broken_bounds.entry(violation.bound.to_owned()).or_insert(0.0) +=
+                1.0 / cases.len() as f64;
+        }
+        let valid = error.is_finite() && broken.is_empty();
         errors.push(error);
         valid_errors.push(if valid { error } else { f64::INFINITY });
     }
@@ -104,6 +118,7 @@ pub fn evaluate_primitive_cases<P: MovementPrimitive + ?Sized>(
     let evaluation = PrimitiveEvaluation {
         success,
         success_and_valid,
+        broken_bounds,
         median_task_error: Some(errors[cases.len() / 2]).filter(|e| e.is_finite()),
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
         cases: cases.len(),
@@ -163,9 +178,11 @@ mod tests {
         let tiny = measure(|w, h| Arc { radius: 0.03, ..exact_arc(w, h) });
         assert_eq!(means(&tiny.success), [1.0; 2]);
         assert_eq!(means(&tiny.success_and_valid), [0.0; 2]);
+        assert!((tiny.broken_bounds["valid_radius"] - 1.0).abs() < 1e-9);
         let point = measure(|w, h| Arc { radius: 0.0, ..exact_arc(w, h) });
         assert_eq!(means(&point.success), [0.0; 2]);
         assert_eq!(point.median_task_error, None);
+        assert!(point.broken_bounds.is_empty());
     }
 
     #[test]

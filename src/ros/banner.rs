@@ -237,7 +237,7 @@ mod tests {
         let evaluation = r#"{
             "success": [{"threshold": 0.02, "mean": 0.91, "low": 0.89, "high": 0.93}],
             "success_and_valid": [{"threshold": 0.02, "mean": 0.9, "low": 0.88, "high": 0.92}],
-            "median_task_error": 0.004, "reconstruction_rmse": 0.01,
+            "broken_bounds": {}, "median_task_error": 0.004, "reconstruction_rmse": 0.01,
             "cases": 42, "seed": 0, "model_id": "0123456789ab", "data_digest": ""
         }"#;
         let text = text(evaluation);

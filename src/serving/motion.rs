@@ -198,7 +198,8 @@ impl Order {
                     ErrorCode::TooFast,
                     format!(
                         "the motion would have to be {beyond:.1} times slower for the joints to \
-                         keep up, limit {MOST_SLOWDOWN}; choose another manner or task"
+                         keep up, limit {MOST_SLOWDOWN}; try another {}",
+                        alternatives(model)
                     ),
                 ),
                 stage: 1,
@@ -254,7 +255,8 @@ impl Order {
             excess,
         };
         let reached = model.task.empirical_task(&executed.motion).map_err(|e| {
-            failure(format!("the motion does not show its task: {e}; try another manner"), PI)
+            let another = alternatives(model);
+            failure(format!("the motion does not show its task: {e}; try another {another}"), PI)
         })?;
         let space = model.space();
         let error = space.distance(&self.w, &reached);
@@ -267,10 +269,11 @@ impl Order {
         });
         Err(failure(
             format!(
-                "the motion misses its task: {}; task.tolerance_m is {:.3}; try another manner or \
-                 a larger tolerance",
+                "the motion misses its task: {}; task.tolerance_m is {:.3}; try another {} or a \
+                 larger tolerance",
                 misses.collect::<Vec<_>>().join(", "),
-                self.tolerance_m
+                self.tolerance_m,
+                alternatives(model)
             ),
             error - self.tolerance_m,
         ))
@@ -287,11 +290,23 @@ impl Order {
         Err(Failure {
             refusal: Refusal::new(
                 ErrorCode::InvalidMotion,
-                format!("the motion is not a valid one: {}; try another manner", texts.join("; ")),
+                format!(
+                    "the motion is not a valid one: {}; try another {}",
+                    texts.join("; "),
+                    alternatives(model)
+                ),
             ),
             stage: 3,
             excess: violations.len() as f64,
         })
+    }
+}
+
+/// What else may be asked for where a motion is refused.
+fn alternatives(model: &ServedModel) -> &'static str {
+    match model.primitive.manner_space().dim() {
+        0 => "task",
+        _ => "manner or task",
     }
 }
 

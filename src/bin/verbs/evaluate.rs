@@ -1,6 +1,7 @@
 //! `tcvae evaluate`: both of the paper's metrics, and beside them what tells whether they mean
 //! anything.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
@@ -136,7 +137,8 @@ pub(crate) fn add_names(artifact: &mut Artifact, splits: &Splits) {
     *manner_space = described(manner_space, &effects, &active);
 }
 
-/// What both tables begin with: what was measured on what, and shares of the test cases.
+/// What both tables begin with: what was measured on what, shares of the test cases, and the bounds
+/// of validity that motions break.
 struct Head<'a> {
     model: &'a str,
     data_digest: &'a str,
@@ -145,11 +147,12 @@ struct Head<'a> {
     unit: &'a str,
     /// Names with a score for each threshold.
     rows: &'a [(&'a str, &'a [Score])],
+    broken_bounds: &'a BTreeMap<String, f64>,
 }
 
 impl Head<'_> {
     fn lines(&self) -> Vec<String> {
-        let Self { model, data_digest, cases, seed, unit, rows } = self;
+        let Self { model, data_digest, cases, seed, unit, rows, broken_bounds } = self;
         let unit = if *unit == "1" { String::new() } else { format!(" {unit}") };
         let head = |score: &Score| format!("{:<24}", format!("within {}{unit}", score.threshold));
         let thresholds = rows.first().map_or(&[][..], |(_, scores)| scores);
@@ -162,6 +165,13 @@ impl Head<'_> {
             format!("{:<22}{}", "", thresholds.iter().map(head).collect::<String>()),
         ];
         lines.extend(rows.iter().map(|(name, scores)| row(name, scores)));
+        if !broken_bounds.is_empty() {
+            let mut broken: Vec<_> = broken_bounds.iter().collect();
+            broken.sort_by(|a, b| b.1.total_cmp(a.1));
+            let told: Vec<_> =
+                broken.iter().map(|(bound, share)| format!("{bound} {share:.3}")).collect();
+            lines.push(format!("{:<22}{}", "broken bounds", told.join(", ")));
+        }
         lines
     }
 }
@@ -183,6 +193,7 @@ fn classical_table(evaluation: &PrimitiveEvaluation, name: &str, unit: &str) -> 
     let PrimitiveEvaluation {
         success,
         success_and_valid,
+        broken_bounds,
         median_task_error,
         reconstruction_rmse,
         cases,
@@ -197,6 +208,7 @@ fn classical_table(evaluation: &PrimitiveEvaluation, name: &str, unit: &str) -> 
         seed: *seed,
         unit,
         rows: &[("success", success), ("success and valid", success_and_valid)],
+        broken_bounds,
     };
     let mut lines = head.lines();
     let error = match median_task_error {
@@ -242,15 +254,9 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
             ("robustness", robustness),
             ("robust and valid", robust_and_valid),
         ],
+        broken_bounds,
     };
     let mut lines = head.lines();
-    if !broken_bounds.is_empty() {
-        let mut broken: Vec<_> = broken_bounds.iter().collect();
-        broken.sort_by(|a, b| b.1.total_cmp(a.1));
-        let told: Vec<_> =
-            broken.iter().map(|(bound, share)| format!("{bound} {share:.3}")).collect();
-        lines.push(format!("{:<22}{}", "broken bounds", told.join(", ")));
-    }
     if let Some(PriorScores { robustness, robust_and_valid }) = with_standard_normal_prior {
         lines.push("with latents of N(0, I) instead of the learned prior's:".into());
         lines.push(row("robustness", robustness));
@@ -285,8 +291,6 @@ fn table(evaluation: &Evaluation, latents: usize, unit: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
 
     fn scores(mean: f64) -> Vec<Score> {
@@ -299,6 +303,7 @@ mod tests {
         let mut evaluation = PrimitiveEvaluation {
             success: scores(0.9),
             success_and_valid: scores(0.8),
+            broken_bounds: BTreeMap::from([("tilt".into(), 0.1)]),
             median_task_error: Some(0.004321),
             reconstruction_rmse: 0.1,
             cases: 42,
@@ -314,6 +319,7 @@ TP-GMM 0123456789ab on data fedcba987654: 42 test cases, seed 0
                       within 0.01 m           within 0.02 m
 success               0.900 [0.890, 0.910]    0.900 [0.890, 0.910]
 success and valid     0.800 [0.790, 0.810]    0.800 [0.790, 0.810]
+broken bounds         tilt 0.100
 
 median task error     0.0043
 reconstruction rmse   0.1000
