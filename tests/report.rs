@@ -78,9 +78,9 @@ fn a_page_is_made_from_trained_files() {
     let read = |name: &str| fs::read_to_string(path.join("page").join(name)).expect(name);
     let (html, markdown) = (read("index.html"), read("README.md"));
     for text in [
-        "TC-VAE (2 seeds)",
+        "TC-VAE<br>(2 seeds)",
         "- in the paper",
-        "ProMP (1 seeds)",
+        "ProMP<br>(1 seed)",
         "TC-VAE less one seed",
         "no manner",
         "Deviations from the paper's text",

@@ -17,7 +17,7 @@ pub enum Block {
         caption: String,
         /// The first line.
         head: Vec<String>,
-        /// The other lines, each as long as the first.
+        /// The other lines, each as long as the first; a cell may have lines of its own.
         rows: Vec<Vec<String>>,
     },
     /// A picture.
@@ -39,6 +39,9 @@ pub struct Page {
     /// What is on it.
     pub blocks: Vec<Block>,
 }
+
+/// A new line in a cell, in Markdown too.
+const BREAK: &str = "<br>";
 
 const STYLE: &str = "body { font: 15px/1.5 sans-serif; max-width: 72em; margin: 2em auto; \
 padding: 0 1em; color: #222 } table { border-collapse: collapse; margin: 1em 0; font-size: 13px } \
@@ -90,7 +93,8 @@ impl Block {
             Self::Code(text) => format!("<pre>{}</pre>\n", escaped(text)),
             Self::Table { caption, head, rows } => {
                 let row = |tag: &str, cells: &[String]| {
-                    let cell = |cell: &String| format!("<{tag}>{}</{tag}>", escaped(cell));
+                    let broken = |cell: &String| escaped(cell).replace('\n', BREAK);
+                    let cell = |cell| format!("<{tag}>{}</{tag}>", broken(cell));
                     format!("<tr>{}</tr>\n", cells.iter().map(cell).collect::<String>())
                 };
                 let rows: String = rows.iter().map(|cells| row("td", cells)).collect();
@@ -111,7 +115,8 @@ impl Block {
             Self::Code(text) => format!("```\n{}\n```\n", text.trim_end()),
             Self::Table { caption, head, rows } => {
                 let row = |cells: &[String]| {
-                    let cells: Vec<_> = cells.iter().map(|c| c.replace('|', "\\|")).collect();
+                    let cells: Vec<_> =
+                        cells.iter().map(|c| c.replace('|', "\\|").replace('\n', BREAK)).collect();
                     format!("| {} |\n", cells.join(" | "))
                 };
                 let mut table = format!("**{caption}**\n\n{}", row(head));
@@ -144,7 +149,7 @@ mod tests {
                 Block::Table {
                     caption: "Table 2".into(),
                     head: cells(&["model", "S"]),
-                    rows: vec![cells(&["VAE", ".20 | .27"])],
+                    rows: vec![cells(&["VAE", ".20 | .27\n[.2, .3]"])],
                 },
                 Block::Picture {
                     caption: "Figure 5".into(),
@@ -156,7 +161,7 @@ mod tests {
         assert_eq!(
             page.markdown(),
             "# Results\n\n## Arcs\n\nS < 1 & R\n\n```\ntcvae report\n```\n\n**Table 2**\n\n\
-             | model | S |\n|---|---|\n| VAE | .20 \\| .27 |\n\n![Figure 5](figure-5.svg)\n\n\
+             | model | S |\n|---|---|\n| VAE | .20 \\| .27<br>[.2, .3] |\n\n![Figure 5](figure-5.svg)\n\n\
              Figure 5\n"
         );
         let html = page.html();
@@ -165,7 +170,7 @@ mod tests {
             "<h2>Arcs</h2>",
             "<p>S &lt; 1 &amp; R</p>",
             "<pre>tcvae report\n</pre>",
-            "<tr><th>model</th><th>S</th></tr>\n<tr><td>VAE</td><td>.20 | .27</td></tr>",
+            "<tr><th>model</th><th>S</th></tr>\n<tr><td>VAE</td><td>.20 | .27<br>[.2, .3]</td></tr>",
             "<figure>\n<svg></svg>\n<figcaption>Figure 5</figcaption>",
         ] {
             assert!(html.contains(text), "{text} is missing");

@@ -120,7 +120,11 @@ fn scores_table(about: &str, rows: &[Loaded<'_>], columns: &[Column]) -> Block {
     let mut lines = Vec::new();
     for (i, row) in rows.iter().enumerate() {
         let cells = columns.iter().map(|column| column.mean(i));
-        let name = format!("{} ({} seeds)", row.config.name, row.models.len());
+        let seeds = match row.models.len() {
+            1 => "1 seed".to_owned(),
+            count => format!("{count} seeds"),
+        };
+        let name = format!("{}\n({seeds})", row.config.name);
         lines.push([name].into_iter().chain(cells).collect());
         if let Some(paper) = &row.config.paper {
             let cell = |column: &Column| {
@@ -263,9 +267,9 @@ pub(super) fn numbers(
     json!({ "test": test.name, "rows": rows })
 }
 
-/// `.583 [.550, .614]`.
+/// `.583`, and below it `[.550, .614]`.
 fn share(Share { mean, low, high }: Share) -> String {
-    format!("{} [{}, {}]", number(mean), number(low), number(high))
+    format!("{}\n[{}, {}]", number(mean), number(low), number(high))
 }
 
 /// Three decimals, without the zero before the point.
@@ -299,8 +303,8 @@ mod tests {
     #[test]
     fn shares_are_written_as_in_the_paper() {
         let text = |mean, low, high| share(Share { mean, low, high });
-        assert_eq!(text(0.5834, 0.55, 1.0), ".583 [.550, 1.000]");
-        assert_eq!(text(-0.02, -0.0004, 0.01), "-.020 [-.000, .010]");
+        assert_eq!(text(0.5834, 0.55, 1.0), ".583\n[.550, 1.000]");
+        assert_eq!(text(-0.02, -0.0004, 0.01), "-.020\n[-.000, .010]");
         assert_eq!(spread(&[0.01, 0.03]), "0.020 (0.010-0.030)");
         assert_eq!(spread(&[4.0, 4.0]), "4.0");
         assert_eq!(spread(&[]), "-");
