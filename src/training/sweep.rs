@@ -342,6 +342,8 @@ mod tests {
     fn the_shipped_sweeps_are_ones() {
         for text in [
             include_str!("../../config/sweep-arcs.toml"),
+            include_str!("../../config/sweep-arcs-full.toml"),
+            include_str!("../../config/results-arcs.toml"),
             include_str!("../../config/sweep-pouring.toml"),
         ] {
             let sweep: SweepConfig = toml::from_str(text).unwrap();
