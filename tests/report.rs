@@ -96,6 +96,12 @@ fn a_page_is_made_from_trained_files() {
     assert_eq!(tests[0]["rows"][0]["models"][1]["cases"], 10);
     assert_eq!(tests[1]["rows"][2]["models"][0]["cases"], 30);
 
+    let elsewhere = REPORT.replace("path = \"others\"", "path = \"nowhere\"");
+    fs::write(path.join("elsewhere.toml"), elsewhere).expect("written");
+    let output = tcvae(&["report", "--config", "elsewhere.toml", "-o", "none"], path);
+    let told = String::from_utf8(output.stderr).expect("text");
+    assert!(told.contains("nowhere: no such file or folder"), "{told}");
+
     // What was measured is kept, and the same page is made of it.
     let kept = fs::read_dir(path.join("measured")).expect("a folder").count();
     assert_eq!(kept, 2 * 3);

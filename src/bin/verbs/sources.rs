@@ -192,6 +192,9 @@ impl Recordings {
         &self,
         task: &TaskConfig,
     ) -> anyhow::Result<(Vec<Demonstration>, String)> {
+        if let Some(path) = self.paths.iter().find(|path| !path.exists()) {
+            return Err(UsageError(format!("{}: no such file or folder", path.display())).into());
+        }
         match self.paths.as_slice() {
             [path] if dataset::is_data_set(path) => {
                 let dataset::DataSet { splits, digest, .. } = dataset::load(path)?;
