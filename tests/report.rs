@@ -82,6 +82,7 @@ fn a_page_is_made_from_trained_files() {
         "- in the paper",
         "ProMP<br>(1 seed)",
         "TC-VAE less one seed",
+        "a data set of simulated arcs\ndata ",
         "no manner",
         "Deviations from the paper's text",
     ] {

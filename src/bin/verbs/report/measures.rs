@@ -72,7 +72,7 @@ impl Measures<'_> {
                 let task = super::key(&artifact.document.task);
                 let of_task = known.iter().find(|(known, ..)| *known == task);
                 let (_, splits, digest) = of_task.expect("read above");
-                self.one(test, artifact, splits, digest)
+                self.one(test, artifact, splits, &sources.of(artifact).digest, digest)
             };
             let name = &row.config.name;
             eprintln!("{}: {name}, {} models", test.name, row.models.len());
@@ -87,9 +87,10 @@ impl Measures<'_> {
         test: &TestSet,
         artifact: &Artifact,
         splits: &Splits,
+        trained_on: &str,
         digest: &str,
     ) -> anyhow::Result<Measured> {
-        let path = self.path(test, artifact, digest);
+        let path = self.path(test, artifact, [trained_on, digest]);
         if let Ok(text) = fs::read_to_string(&path)
             && let Ok(measured) = serde_json::from_str(&text)
         {
@@ -104,10 +105,12 @@ impl Measures<'_> {
         Ok(measured)
     }
 
-    /// Where the measurement is kept: for this model, this data, and these sources of the program.
-    fn path(&self, test: &TestSet, artifact: &Artifact, data_digest: &str) -> PathBuf {
+    /// Where the measurement is kept: for this model, what probes are fitted on, what is tested on, and
+    /// these sources of the program.
+    fn path(&self, test: &TestSet, artifact: &Artifact, digests: [&str; 2]) -> PathBuf {
         let (model, revision) = (artifact.model_id(), env!("TCVAE_GIT_REVISION"));
-        let key = format!("{model} {data_digest} {} {} {revision}", test.halves, self.seed);
+        let data = digests.join(" ");
+        let key = format!("{model} {data} {} {} {revision}", test.halves, self.seed);
         let digest = Sha256::digest(key.as_bytes());
         let name: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
         self.cache.join(format!("{model}-{name}.json"))

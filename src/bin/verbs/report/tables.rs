@@ -12,6 +12,7 @@ use tcvae::parameters::MannerAxis;
 use tcvae::report::Block;
 use tcvae::training::LatentStatistics;
 
+use super::super::sources::Data;
 use super::measures::Measured;
 use super::{Deviation, Loaded, Paper, Part, Sources, TestSet};
 
@@ -29,12 +30,13 @@ const METRICS: [Metric; 3] = [
     Metric { name: "R and valid", of_case: |o| &o.robust_and_valid, of_paper: |_| &[] },
 ];
 
-/// How many demonstrations the models were trained on, as the paper's table 1.
+/// What the models were trained on, with the counts of the paper's table 1 and the data's digest.
 pub(super) fn demonstrations(sources: &Sources) -> Vec<Block> {
-    let mut summaries: Vec<_> = sources.data.values().map(|data| data.summary.clone()).collect();
-    summaries.sort();
-    summaries.dedup();
-    summaries.into_iter().map(Block::Code).collect()
+    let told = |data: &Data| format!("{}\ndata {:.12}", data.summary, data.digest);
+    let mut told: Vec<_> = sources.data.values().map(told).collect();
+    told.sort();
+    told.dedup();
+    told.into_iter().map(Block::Code).collect()
 }
 
 /// All tables of one test set.
