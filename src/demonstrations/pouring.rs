@@ -505,15 +505,22 @@ impl Profile {
         forward.y.atan2(forward.x).to_degrees()
     }
 
-    /// What the cup is tilted about when it is tilted most, as an angle from the hand's heading at
-    /// the grasp: 0 degrees where the cup rolls to the hand's right, 90 where it pitches forward.
+    /// Where the cup leans when it is tilted most, as an angle between 0 degrees, where it rolls to the
+    /// side of the hand to which it is carried, over 90, where it pitches ahead, to 180, where it rolls
+    /// to the other side.
     fn style_deg(&self) -> f64 {
         let most =
             (0..self.poses.len()).max_by(|a, b| self.tilts_deg[*a].total_cmp(&self.tilts_deg[*b]));
-        let turn = most.map(|i| self.poses[i].rotation * self.poses[0].rotation.inverse());
+        let grasp = &self.poses[0];
+        let turn = most.map(|i| self.poses[i].rotation * grasp.rotation.inverse());
         let axis = turn.map_or(Vector3::zeros(), |turn| turn.scaled_axis());
-        let style = axis.y.atan2(axis.x).to_degrees() - self.heading_deg();
-        (style + 180.0).rem_euclid(360.0) - 180.0
+        // Tilted about the hand's heading a cup rolls to the right, about the opposite to the left.
+        let from_right = axis.y.atan2(axis.x).to_degrees() - self.heading_deg();
+        let ahead = grasp.rotation * Vector3::z();
+        let way = self.mean_position_while_pouring() - grasp.translation.vector;
+        let to_the_right = way.dot(&ahead.cross(&Vector3::z())) > 0.0;
+        let style = if to_the_right { from_right } else { 180.0 - from_right };
+        (style + 90.0).rem_euclid(360.0) - 90.0
     }
 
     /// Steps during which the cup pours.
@@ -661,7 +668,12 @@ impl Task for PouringTask {
             factor("maximum_tilt", "degrees", "of largest tilt", profile.maximum_tilt_deg()),
             factor("duration", "s", "from grasp to end", motion.duration_secs),
             factor("lift", "m", "above the grasp while pouring", lift),
-            factor("style", "degrees", "from roll (0) to pitch (90)", profile.style_deg()),
+            factor(
+                "style",
+                "degrees",
+                "from rolling to where it is carried (0) to pitching ahead (90)",
+                profile.style_deg(),
+            ),
             factor("heading", "degrees", "of the hand's heading", profile.heading_deg()),
             factor("grasp_height", "m", "of the grasp's height", profile.poses[0].translation.z),
         ]

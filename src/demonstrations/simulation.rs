@@ -298,8 +298,9 @@ struct Plan {
     tilt_detours: Vec<Move<f64>>,
     /// What the tilt turns about, in the base frame before the yaw.
     tilt_axis: UnitVector3<f64>,
-    /// Angle between the tilt's axis and the hand's direction: 0 for a roll, 90 for a pitch.
-    style_deg: f64,
+    /// What the cup is tilted about, as an angle from the hand's direction: 0 degrees where it rolls to
+    /// the hand's right, 90 where it pitches ahead, 180 where it rolls to the left.
+    from_right_deg: f64,
     /// Where the hand draws back to while the cup tilts, so that the spout stays over the bowl; all
     /// of the way at 90 degrees.
     drawn_back: Vector3<f64>,
@@ -339,7 +340,7 @@ impl Plan {
             tilts: Vec::new(),
             tilt_detours: Vec::new(),
             tilt_axis: manner.tilt_axis,
-            style_deg: manner.style_deg,
+            from_right_deg: manner.from_right_deg,
             drawn_back: manner.drawn_back,
             way: (scene.pour.y - scene.grasp.translation.y)
                 .atan2(scene.pour.x - scene.grasp.translation.x),
@@ -733,7 +734,11 @@ impl Plan {
             t += STEP_SECS;
         }
         let mean = sum / f64::from(samples);
-        let source = self.pose(grasped).translation.vector;
+        let Isometry3 { translation, rotation } = self.pose(grasped);
+        let source = translation.vector;
+        let from_right = self.from_right_deg;
+        let to_the_right = is_to_the_right(&(mean - source), &rotation);
+        let style = if to_the_right { from_right } else { 180.0 - from_right };
         truth.task.insert("pour_location".into(), [mean.x, mean.y]);
         truth.task.insert("source_cup".into(), [source.x, source.y]);
         for (name, value) in [
@@ -744,7 +749,7 @@ impl Plan {
             ("maximum_tilt", maximum),
             ("duration", t - grasped),
             ("lift", mean.z - source.z),
-            ("style", self.style_deg),
+            ("style", style),
         ] {
             truth.factors.insert(name.into(), value);
         }
@@ -833,7 +838,7 @@ struct Manner {
     maximum_tilt: f64,
     rise_secs: f64,
     fall_secs: f64,
-    style_deg: f64,
+    from_right_deg: f64,
     tilt_axis: UnitVector3<f64>,
     /// See [`Plan::drawn_back`].
     drawn_back: Vector3<f64>,
@@ -846,15 +851,21 @@ struct Manner {
 impl Manner {
     fn draw(correlation: f64, trap: Option<Reason>, scene: &Scene, rng: &mut ChaCha8Rng) -> Self {
         let tied = correlation * 0.6;
-        let style_deg = match rng.random_range(0.0..1.0) {
+        let from_roll = match rng.random_range(0.0..1.0) {
             u if u < 0.6 => rng.random_range(0.0..12.0),
             u if u < 0.9 => rng.random_range(20.0..50.0),
             _ => rng.random_range(65.0..90.0_f64),
         };
-        let style: f64 = style_deg.to_radians();
         let hand = scene.grasp.rotation;
         let (roll, pitch) = (hand * Vector3::z(), -(hand * Vector3::y()));
-        let tilt_axis = UnitVector3::new_normalize(roll * style.cos() + pitch * style.sin());
+        // People mostly lean a cup to the side to which they carry it.
+        let way = scene.pour - scene.grasp.translation.vector;
+        let natural = rng.random_bool(0.5 + 0.5 * correlation);
+        let to_the_right = is_to_the_right(&way, &hand) == natural;
+        let from_right_deg = if to_the_right { from_roll } else { 180.0 - from_roll };
+        let from_right = from_right_deg.to_radians();
+        let tilt_axis =
+            UnitVector3::new_normalize(roll * from_right.cos() + pitch * from_right.sin());
         // The spout is some centimetres above the hand, and leans to where the tilt's axis says.
         let leans = tilt_axis.cross(&Vector3::z()).normalize();
         let drawn_back = -leans * rng.random_range(0.02..0.07);
@@ -903,7 +914,7 @@ impl Manner {
                 maximum_tilt,
                 rise_secs,
                 fall_secs,
-                style_deg,
+                from_right_deg,
                 tilt_axis,
                 drawn_back,
                 stray,
@@ -916,6 +927,11 @@ impl Manner {
     fn crossing(&self, from: f64) -> f64 {
         minimum_jerk_inverse(((POUR_TILT_DEG - from) / (self.maximum_tilt - from)).min(1.0))
     }
+}
+
+/// Whether a way over the ground goes to the right of where the hand points.
+fn is_to_the_right(way: &Vector3<f64>, hand: &UnitQuaternion<f64>) -> bool {
+    way.dot(&(hand * Vector3::z()).cross(&Vector3::z())) > 0.0
 }
 
 /// The arm that doesn't pour: it hangs where it was left, and drifts.
