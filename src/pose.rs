@@ -7,7 +7,7 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 
 use crate::trajectory::Trajectory;
 
@@ -83,6 +83,110 @@ fn nearest_equivalent(r: Vector3<f64>, previous: Vector3<f64>) -> Vector3<f64> {
     r + axis * (turns * TAU)
 }
 
+/// Values of a pose's state as a turn: the position, what the angle leaves of the turn, the angle.
+pub(crate) const TURN_DIM: usize = STATE_DIM + 1;
+/// Values of a motion as turns that are the same at each step: the axis, and the first orientation.
+pub(crate) const TURN_CONSTANTS: usize = 6;
+
+/// A motion's states as turns from its first orientation, in the frame of that:
+/// `first * exp(angle_t * axis + rest_t)`, where the axis is that of the largest turn. Beside the states
+/// `(position, rest, angle)` the constants `(axis, first)`.
+#[cfg(feature = "train")]
+pub(crate) fn to_turns(states: &Trajectory) -> (Trajectory, [f64; TURN_CONSTANTS]) {
+    let base = StateFrame { reference: UnitQuaternion::identity() };
+    let first = rotation_vector(states.state(0));
+    let frame = StateFrame { reference: UnitQuaternion::from_scaled_axis(first) };
+    let relative = frame.trajectory(&base.poses(states));
+    let turns = || relative.states().map(rotation_vector);
+    let largest = turns().max_by(|a, b| a.norm().total_cmp(&b.norm()));
+    let axis = unit(&largest.unwrap_or_default());
+    let values = relative.states().zip(turns()).flat_map(|(state, turn)| {
+        let angle = turn.dot(&axis);
+        let rest = turn - axis * angle;
+        [state[0], state[1], state[2], rest.x, rest.y, rest.z, angle]
+    });
+    let values =
+        Trajectory::new(TURN_DIM, values.collect()).expect("finite states are finite turns");
+    (values, [axis.x, axis.y, axis.z, first.x, first.y, first.z])
+}
+
+/// The inverse of [`to_turns`], of means with their standard deviations; an axis may have any length
+/// but 0. The deviations are to first order, as if all values were independent.
+pub(crate) fn from_turns(
+    (mean, stddev): (&Trajectory, &Trajectory),
+    (constants, constants_stddev): (&[f64; TURN_CONSTANTS], &[f64; TURN_CONSTANTS]),
+) -> (Trajectory, Trajectory) {
+    let three = |values: &[f64]| Vector3::new(values[0], values[1], values[2]);
+    let first = three(&constants[3..]);
+    let axis = unit(&three(constants));
+    let frame = StateFrame { reference: UnitQuaternion::from_scaled_axis(first) };
+    let turn = |state: &[f64]| rotation_vector(state) + axis * state[6];
+    let pose = |state: &[f64]| {
+        let r = turn(state);
+        frame.pose(&[state[0], state[1], state[2], r.x, r.y, r.z])
+    };
+    let poses: Vec<_> = mean.states().map(pose).collect();
+    let base = StateFrame { reference: UnitQuaternion::identity() };
+    let states = base.trajectory(&poses);
+    let of_axis = (Matrix3::identity() - axis * axis.transpose())
+        / three(constants).norm().max(f64::MIN_POSITIVE.sqrt());
+    let of_first = right_jacobian(&first);
+    let squares =
+        |m: Matrix3<f64>, stddev: Vector3<f64>| m.component_mul(&m) * stddev.component_mul(&stddev);
+    let deviations = mean.states().zip(stddev.states()).zip(states.states());
+    let values = deviations.flat_map(|((turns, stddev), state)| {
+        let turn = turn(turns);
+        let to_state = right_jacobian_inverse(&rotation_vector(state));
+        let by_turn = to_state * right_jacobian(&turn);
+        let back = UnitQuaternion::from_scaled_axis(-turn).to_rotation_matrix();
+        let variance = squares(by_turn, rotation_vector(stddev))
+            + (by_turn * axis).map(|d| (d * stddev[6]).powi(2))
+            + squares(by_turn * of_axis * turns[6], three(constants_stddev))
+            + squares(to_state * back.matrix() * of_first, three(&constants_stddev[3..]));
+        let [x, y, z] = variance.map(f64::sqrt).into();
+        [stddev[0], stddev[1], stddev[2], x, y, z]
+    });
+    let stddev = Trajectory::new(STATE_DIM, values.collect()).expect("finite turns are finite");
+    (states, stddev)
+}
+
+/// The rotation vector of a state.
+fn rotation_vector(state: &[f64]) -> Vector3<f64> {
+    Vector3::new(state[3], state[4], state[5])
+}
+
+/// The vector at length 1; 0 where it has no direction.
+fn unit(vector: &Vector3<f64>) -> Vector3<f64> {
+    vector.try_normalize(1e-9).unwrap_or_default()
+}
+
+/// `J` with `exp(r + d) = exp(r) exp(J d)` to first order.
+fn right_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (r.norm(), r.cross_matrix());
+    // Limits at 0 where the quotients lose their digits.
+    let (a, b) = if angle > 1e-3 {
+        let square = angle * angle;
+        ((1.0 - angle.cos()) / square, (angle - angle.sin()) / (square * angle))
+    } else {
+        (0.5, 1.0 / 6.0)
+    };
+    Matrix3::identity() - cross * a + cross * cross * b
+}
+
+/// The inverse of [`right_jacobian`], which has none at full turns: there it is that of a little less.
+fn right_jacobian_inverse(r: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (r.norm(), r.cross_matrix());
+    let b = if angle > 1e-3 {
+        let half = 0.5 * angle;
+        let tangent = half.tan();
+        let tangent = if tangent.abs() > 1e-3 { tangent } else { 1e-3_f64.copysign(tangent) };
+        (1.0 - half / tangent) / (angle * angle)
+    } else {
+        1.0 / 12.0
+    };
+    Matrix3::identity() + cross * 0.5 + cross * cross * b
+}
+
 /// The direction in the tip frame that points up in this pose: `R^T e_z`. Taken at the grasp, where
 /// the cup stands upright, it is the cup's axis.
 pub fn up_in_tip(base_from_tip: &Isometry3<f64>) -> Vector3<f64> {
@@ -110,7 +214,6 @@ pub fn mirrored(base_from_tip: &Isometry3<f64>) -> Isometry3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Matrix3;
     use proptest::prelude::*;
 
     fn pose() -> impl Strategy<Value = Isometry3<f64>> {
@@ -136,6 +239,68 @@ mod tests {
             let mirror = mirrored(&pose);
             prop_assert!((mirror.rotation.to_rotation_matrix().matrix() - expected).norm() < 1e-12);
             prop_assert!((mirrored(&mirror).to_homogeneous() - pose.to_homogeneous()).norm() < 1e-12);
+        }
+    }
+
+    fn turn() -> impl Strategy<Value = Vector3<f64>> {
+        let value = || -1.3..1.3f64;
+        (value(), value(), value()).prop_map(|(x, y, z)| Vector3::new(x, y, z))
+    }
+
+    proptest! {
+        #[test]
+        fn turns_give_their_states_back(first in turn(), other in turn(), rest in turn()) {
+            let states = (0..20).flat_map(|i| {
+                let at = f64::from(i) / 19.0;
+                let r = first + other * at + rest * (at * (1.0 - at));
+                [0.1 * at, 0.2, 0.3, r.x, r.y, r.z]
+            });
+            let states = Trajectory::new(STATE_DIM, states.collect()).unwrap();
+            let (turns, constants) = to_turns(&states);
+            prop_assert!(turns.state(0)[3..].iter().all(|v| v.abs() < 1e-9));
+            let stddev = Trajectory::new(TURN_DIM, vec![0.01; TURN_DIM * 20]).unwrap();
+            let (back, _) = from_turns((&turns, &stddev), (&constants, &[0.0; TURN_CONSTANTS]));
+            let frame = StateFrame { reference: UnitQuaternion::identity() };
+            for (a, b) in frame.poses(&states).iter().zip(frame.poses(&back)) {
+                prop_assert!(a.rotation.angle_to(&b.rotation) < 1e-7);
+                prop_assert!((a.translation.vector - b.translation.vector).norm() < 1e-12);
+            }
+        }
+
+        /// Each deviation alone, against differences.
+        #[test]
+        fn deviations_are_those_of_small_changes(
+            first in turn(), axis in turn(), rest in turn(), angle in -1.5..1.5f64,
+            value in 0..TURN_DIM + TURN_CONSTANTS,
+        ) {
+            const STEP: f64 = 1e-6;
+            prop_assume!(axis.norm() > 0.1);
+            let values = |by: f64| {
+                let mut all = vec![0.1, 0.2, 0.3, rest.x, rest.y, rest.z, angle];
+                all.extend([axis.x, axis.y, axis.z, first.x, first.y, first.z]);
+                all[value] += by;
+                all
+            };
+            let mut alone = vec![0.0; TURN_DIM + TURN_CONSTANTS];
+            alone[value] = 1.0;
+            let turned = |mean: &[f64]| {
+                let split = |all: &[f64]| {
+                    let turns = Trajectory::new(TURN_DIM, all[..TURN_DIM].repeat(2)).unwrap();
+                    let constants: [f64; TURN_CONSTANTS] = all[TURN_DIM..].try_into().unwrap();
+                    (turns, constants)
+                };
+                let ((mean, constants), (stddev, deviations)) = (split(mean), split(&alone));
+                let (mean, stddev) = from_turns((&mean, &stddev), (&constants, &deviations));
+                (rotation_vector(mean.state(0)), rotation_vector(stddev.state(0)))
+            };
+            let (mean, stddev) = turned(&values(0.0));
+            // Around half a turn two rotation vectors far from each other are nearly the same.
+            prop_assume!(mean.norm() < 3.0);
+            let [after, before] = [STEP, -STEP].map(|by| turned(&values(by)).0);
+            let change = (after - before) / (2.0 * STEP);
+            for i in 0..3 {
+                prop_assert!((change[i].abs() - stddev[i]).abs() < 1e-4, "{change} {stddev}");
+            }
         }
     }
 

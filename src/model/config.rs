@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "train")]
 use crate::alignment::{Alignment, segment_secs};
 #[cfg(feature = "train")]
+use crate::pose::to_turns;
+use crate::pose::{STATE_DIM, TURN_CONSTANTS, TURN_DIM};
+#[cfg(feature = "train")]
 use crate::primitive::Demonstration;
 #[cfg(feature = "train")]
 use crate::trajectory::Trajectory;
@@ -47,6 +50,11 @@ pub struct NetworkConfig {
     /// whole motion, 3 for a task with two events. 0 is the paper's phase, in which motions have no
     /// duration and are served at the demonstrations' median.
     pub segments: usize,
+    /// Our variant, for states that are poses: the networks see and decode orientations as turns from
+    /// the motion's first one, an angle about an axis and what is left over, with the axis and the
+    /// first orientation beside them. How far a cup is tilted is then learned apart from which way,
+    /// and from where the hand points. Not in the paper.
+    pub orientations_as_turns: bool,
     /// Whether the decoder sees w; without, and with 10 latents, it is the paper's VAE.
     pub task_conditioned: bool,
     /// Whether log-variances are bounded, the decoder's softly to [`Self::least_log_variance`, 4] and
@@ -78,6 +86,19 @@ impl NetworkConfig {
         ((0.5 * (low + high)) as f32, (0.5 * (high - low)) as f32)
     }
 
+    /// Values that the networks see at a step beside those of a state: what a turn has more, and what
+    /// is the same at each step.
+    pub(crate) fn beside(&self) -> usize {
+        let of_turn = if self.orientations_as_turns { TURN_DIM - STATE_DIM } else { 0 };
+        of_turn.saturating_add(self.constants())
+    }
+
+    /// Values of these that are the same at each step of a motion.
+    pub(crate) fn constants(&self) -> usize {
+        let of_turns = if self.orientations_as_turns { TURN_CONSTANTS } else { 0 };
+        self.segments.saturating_add(of_turns)
+    }
+
     /// Steps of the margin at either end, the sum of the dilations; 0 without margins.
     pub(crate) fn margin(&self) -> usize {
         match self.margins {
@@ -98,6 +119,7 @@ impl Default for NetworkConfig {
             task_baseline: false,
             margins: false,
             segments: 0,
+            orientations_as_turns: false,
             task_conditioned: true,
             bounded_variances: true,
             least_log_variance: -12.0,
@@ -115,8 +137,8 @@ impl Default for NetworkConfig {
 pub struct ModelConfig {
     /// Steps that the networks see: those of a trajectory, `T`, and the margins.
     pub steps: usize,
-    /// Values that the networks see at a step: those of a state, `D`, and the logarithm of each
-    /// segment's duration.
+    /// Values that the networks see at a step: those of a state, `D`, the seven more of a turn where
+    /// orientations are turns, and the logarithm of each segment's duration.
     pub state_dim: usize,
     /// Values of the task parameters `w`.
     pub task_dim: usize,
@@ -164,10 +186,16 @@ impl ModelConfig {
             let (name, lower, upper) = ("least_log_variance", LEAST_LOG_VARIANCE, 0.0);
             return Err(ConfigError { name, value: least, lower, upper });
         }
+        // Turns are those of poses.
+        let beside = self.network.beside();
+        let (least, most) = match self.network.orientations_as_turns {
+            true => (beside.saturating_add(STATE_DIM), beside.saturating_add(STATE_DIM)),
+            false => (beside.saturating_add(1), 1000),
+        };
         for (name, value, lower, upper) in [
             ("layers", layers, 1, MAX_LAYERS),
             ("steps", self.steps, 2 + 2 * self.margin(), 20_000),
-            ("state_dim", self.state_dim, 1 + self.network.segments, 1000),
+            ("state_dim", self.state_dim, least, most),
             ("task_dim", self.task_dim, 1, 1000),
             ("latents", latents, 1, 1000),
             ("width", width, 1, 10_000),
@@ -196,10 +224,11 @@ impl ModelConfig {
 
     /// Values of a motion's state, `D`.
     pub(crate) fn motion_dim(&self) -> usize {
-        self.state_dim - self.network.segments
+        self.state_dim - self.network.beside()
     }
 
-    /// A motion as the networks see it: `T` steps, the margins, and the segments' durations.
+    /// A motion as the networks see it: `T` steps and the margins; states, or turns and their constants;
+    /// and the segments' durations.
     #[cfg(feature = "train")]
     pub(crate) fn sequence(&self, demonstration: &Demonstration) -> Trajectory {
         let Demonstration { motion, events, .. } = demonstration;
@@ -208,13 +237,19 @@ impl ModelConfig {
             0 | 1 => motion.states.resampled(self.motion_steps()),
             _ => Alignment::of_events(events).aligned(&motion.states, self.motion_steps()),
         };
+        let (states, mut constants) = match self.network.orientations_as_turns {
+            true => {
+                let (turns, constants) = to_turns(&states);
+                (turns, constants.to_vec())
+            }
+            false => (states, Vec::new()),
+        };
         let extended = states.extended(self.margin());
-        let mut log_secs: Vec<f64> = Vec::new();
         if self.network.segments > 0 {
             let events = if self.network.segments == 1 { &[] } else { events.as_slice() };
-            log_secs.extend(segment_secs(motion, events).iter().map(|secs| secs.ln()));
+            constants.extend(segment_secs(motion, events).iter().map(|secs| secs.ln()));
         }
-        let values = extended.states().flat_map(|s| s.iter().chain(&log_secs).copied());
+        let values = extended.states().flat_map(|s| s.iter().chain(&constants).copied());
         Trajectory::new(self.state_dim, values.collect())
             .expect("segments take finite times above 0")
     }
@@ -243,5 +278,70 @@ impl ModelConfig {
     /// code of h, the code of w, and h itself.
     pub(crate) fn first_constants(&self) -> usize {
         2 * self.network.width + self.network.latents
+    }
+}
+
+#[cfg(all(test, feature = "train"))]
+mod tests {
+    use super::*;
+    use crate::model::layout::tests::small;
+    use crate::model::normalizer::tests::space;
+    use crate::parameters::TaskParameters;
+    use crate::trajectory::Motion;
+
+    /// A hand that turns about its z, whatever it points to, and back by half.
+    fn demonstration(first: [f64; 3]) -> Demonstration {
+        let base = crate::pose::StateFrame { reference: nalgebra::UnitQuaternion::identity() };
+        let first = nalgebra::UnitQuaternion::from_scaled_axis(first.into());
+        let pose = |i: usize| {
+            let angle = 1.5 - (0.15 * i as f64 - 1.5).abs();
+            let turn =
+                nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), angle);
+            nalgebra::Isometry3::from_parts([0.1 * i as f64, 0.2, 0.3].into(), first * turn)
+        };
+        let states = base.trajectory(&(0..16).map(pose).collect::<Vec<_>>());
+        Demonstration {
+            id: "1".into(),
+            w: TaskParameters::new(&space(), vec![0.0; 4]).expect("inside"),
+            motion: Motion { states, duration_secs: 3.0 },
+            events: vec![0.25],
+        }
+    }
+
+    fn with_turns() -> ModelConfig {
+        let mut config = small(Activation::Gelu, true);
+        (config.network.orientations_as_turns, config.network.segments) = (true, 2);
+        (config.steps, config.state_dim) = (16, 6 + 1 + 6 + 2);
+        config
+    }
+
+    #[test]
+    fn a_turn_looks_the_same_wherever_the_hand_points() {
+        let config = with_turns();
+        config.check().unwrap();
+        let [a, b] =
+            [[0.0, 0.0, 0.0], [0.3, -0.8, 0.5]].map(|first| config.sequence(&demonstration(first)));
+        // Between two steps the rotation vectors of the two go different ways.
+        const NEAR: f64 = 2e-3;
+        for (a, b) in a.states().zip(b.states()) {
+            // Position, what the angle leaves over, angle and axis are equal, and so are durations.
+            for i in (0..10).chain(13..15) {
+                assert!((a[i] - b[i]).abs() < NEAR, "{i}: {a:?} {b:?}");
+            }
+            assert!((a[7..10].iter().zip([0.0, 0.0, 1.0])).all(|(v, e)| (v - e).abs() < NEAR));
+            assert!((b[10..13].iter().zip([0.3, -0.8, 0.5])).all(|(v, e)| (v - e).abs() < NEAR));
+            let secs = [a[13].exp(), a[14].exp()];
+            assert!((secs[0] - 0.75).abs() < 1e-9 && (secs[1] - 2.25).abs() < 1e-9, "{secs:?}");
+        }
+    }
+
+    #[test]
+    fn only_poses_turn() {
+        let mut config = with_turns();
+        config.state_dim = 2 + 1 + 6 + 2;
+        let error = config.check().unwrap_err();
+        assert_eq!(error.to_string(), "state_dim is 11; it must lie in [15, 15]");
+        config.network.segments = usize::MAX;
+        assert!(config.check().is_err());
     }
 }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::config::ModelConfig;
 use super::layout::{WeightsError, checked};
 use super::{ModelError, NamedTensor, Weights};
+use crate::pose::TURN_DIM;
 use crate::primitive::Demonstration;
 #[cfg(any(feature = "train", test))]
 use crate::trajectory::Trajectory;
@@ -137,6 +138,12 @@ impl Units {
             let residuals: Vec<f64> = demonstrations.iter().flat_map(residual).collect();
             let rows: Vec<&[f64]> = residuals.chunks(state_dim).collect();
             units.normalizer.state_scale = moments(state_dim, &rows).1;
+        }
+        if network.orientations_as_turns {
+            // What an angle leaves over is often noise, which is not to weigh as much as the angle.
+            let turn = &mut units.normalizer.state_scale[3..TURN_DIM];
+            let largest = turn.iter().copied().fold(0.0, f64::max);
+            turn.fill(largest);
         }
         units
     }

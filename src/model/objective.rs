@@ -39,7 +39,7 @@ pub struct Strengths {
 pub struct Terms {
     /// Number of sequences.
     pub sequences: usize,
-    /// Negative log-likelihood of the motions (nat).
+    /// Negative log-likelihood of the motions (nat), with the factors of its channels.
     pub negative_log_likelihood: f64,
     /// KL divergence of each latent from the prior (nat).
     pub kl: Vec<f64>,
@@ -81,6 +81,8 @@ pub struct Objective {
     device: Device,
     model: Layout,
     adversary: Layout,
+    /// Factor of each channel's likelihood, where not all are 1.
+    likelihood: Option<Vec<f32>>,
 }
 
 impl Objective {
@@ -93,7 +95,21 @@ impl Objective {
             device,
             model: Layout::of_model(config),
             adversary: Layout::of_adversary(config, adversary_width),
+            likelihood: None,
         }
+    }
+
+    /// The objective in which the likelihood of values that are the same at each step of a motion has
+    /// this factor.
+    pub fn with_constants(mut self, factor: f32) -> Self {
+        let ModelConfig { state_dim, network, .. } = &self.networks.config;
+        let constants = network.constants();
+        if constants > 0 && factor != 1.0 {
+            let mut factors = vec![1.0; state_dim - constants];
+            factors.resize(*state_dim, factor);
+            self.likelihood = Some(factors);
+        }
+        self
     }
 
     /// Terms and gradients of both players on a part of a batch of `batch_size` sequences: the
@@ -158,7 +174,14 @@ impl Objective {
         let decoded = self.networks.decode(model, h, w);
         let squared = (x - decoded.mean).square();
         let nll = squared * decoded.log_variance.clone().neg().exp() + decoded.log_variance;
-        let constant = (steps * n * state_dim) as f32 * std::f32::consts::TAU.ln();
+        let (nll, channels) = match &self.likelihood {
+            Some(factors) => {
+                let channels = factors.iter().sum();
+                (nll * tensor(factors.clone(), [1, *state_dim], &self.device), channels)
+            }
+            None => (nll, *state_dim as f32),
+        };
+        let constant = (steps * n) as f32 * channels * std::f32::consts::TAU.ln();
         let kl = mean.clone().square() + log_variance.clone().exp() - log_variance - 1.0;
 
         // The model's step sees the adversary as it is: its parameters are constants here.
@@ -212,5 +235,39 @@ impl Players {
             adversary: scalar(&self.adversary),
             anchors: self.anchors.as_ref().map(row).unwrap_or_default(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Backend;
+    use super::super::config::Activation;
+    use super::super::layout::tests::small;
+    use super::*;
+    use rand::SeedableRng;
+    use rand::rngs::ChaCha8Rng;
+
+    #[test]
+    fn the_likelihood_of_constants_counts_by_its_factor() {
+        let mut config = small(Activation::Gelu, true);
+        (config.network.segments, config.state_dim) = (1, 3);
+        let start = |layout: Layout| layout.initial(&mut ChaCha8Rng::seed_from_u64(1));
+        let model = start(Layout::of_model(&config));
+        let adversary = start(Layout::of_adversary(&config, 8));
+        let ramp = |n: usize| (0..n).map(|i| (i % 7) as f32 / 3.0 - 1.0).collect::<Vec<_>>();
+        let batch = Batch {
+            sequences: 2,
+            x: ramp(2 * config.steps * 3),
+            w: ramp(2 * 4),
+            noise: ramp(2 * 3),
+            anchors: Vec::new(),
+        };
+        let likelihood = |factor: f32| {
+            let objective = Objective::new(&config, 8, Backend::default()).with_constants(factor);
+            objective.terms(&model, &adversary, &batch).negative_log_likelihood
+        };
+        let [none, half, all] = [0.0, 0.5, 1.0].map(likelihood);
+        assert!((none - all).abs() > 1.0, "{none} {all}");
+        assert!((half - 0.5 * (none + all)).abs() < 1e-3, "{none} {half} {all}");
     }
 }

@@ -10,6 +10,7 @@ use super::prior::LearnedPrior;
 use super::{ModelError, Weights};
 use crate::alignment::Alignment;
 use crate::parameters::{MannerParameters, MannerSpace, TaskParameters, TaskSpace};
+use crate::pose::{TURN_DIM, from_turns};
 use crate::primitive::{Generated, MannerConditioned, MovementPrimitive};
 use crate::trajectory::Trajectory;
 
@@ -18,6 +19,9 @@ const MAX_DRAWS: usize = 1000;
 
 /// Bound of a decoded duration's logarithm, far beyond any data, so that it stays finite and above 0.
 const LOG_SECS: f64 = 20.0;
+
+/// Bound of a decoded axis and first orientation (rad), likewise.
+const MAX_TURN: f64 = 1e3;
 
 /// A trained TC-VAE.
 #[derive(Debug, Clone)]
@@ -124,31 +128,43 @@ impl TcVaePrimitive {
         let stddev = deviations.map(|(v, scale)| (0.5 * f64::from(*v)).exp() * scale);
         let (mean, stddev): (Vec<_>, Vec<_>) = (mean.collect(), stddev.collect());
         let config = self.decoder.config();
-        let (channels, dim) = (config.state_dim, config.motion_dim());
+        let channels = config.state_dim;
         // The steps of the motion, without the margins.
         let steps = config.margin() * channels..(config.margin() + self.steps()) * channels;
-        let trajectory = |values: &[f64]| {
+        let as_turns = config.network.orientations_as_turns;
+        // What changes along the motion, and what is the same at each step: the mean over them.
+        let dim = if as_turns { TURN_DIM } else { config.motion_dim() };
+        let changing = |values: &[f64]| {
             let states = values[steps.clone()].chunks_exact(channels).flat_map(|row| &row[..dim]);
             Trajectory::new(dim, states.copied().collect())
                 .expect("finite weights were checked, and tasks and manners are bounded")
         };
-        let (mean_states, stddev_states) = (trajectory(&mean), trajectory(&stddev));
-        if channels == dim {
-            return Generated { mean: mean_states, stddev: stddev_states, duration_secs: None };
-        }
-        let secs = |segment: usize| {
-            let decoded = mean[steps.clone()].chunks_exact(channels).map(|row| row[dim + segment]);
-            let log_secs = decoded.sum::<f64>() / self.steps() as f64;
-            log_secs.clamp(-LOG_SECS, LOG_SECS).exp()
+        let constant = |values: &[f64], i: usize| {
+            let rows = values[steps.clone()].chunks_exact(channels);
+            rows.map(|row| row[i]).sum::<f64>() / self.steps() as f64
         };
-        let segments: Vec<f64> = (0..channels - dim).map(secs).collect();
-        let clock = Alignment::new(&segments);
-        Generated {
-            mean: clock.in_time(&mean_states),
+        let (mut mean_states, mut stddev_states) = (changing(&mean), changing(&stddev));
+        let mut duration_secs = None;
+        if config.network.segments > 0 {
+            let secs = |i| constant(&mean, i).clamp(-LOG_SECS, LOG_SECS).exp();
+            let segments: Vec<f64> =
+                (channels - config.network.segments..channels).map(secs).collect();
+            let clock = Alignment::new(&segments);
+            mean_states = clock.in_time(&mean_states);
             // Between steps by their logarithm, which stays above 0.
-            stddev: mapped(&clock.in_time(&mapped(&stddev_states, f64::ln)), f64::exp),
-            duration_secs: Some(segments.iter().sum()),
+            let log_stddev = mapped(&stddev_states, f64::ln);
+            stddev_states = mapped(&clock.in_time(&log_stddev), f64::exp);
+            duration_secs = Some(segments.iter().sum());
         }
+        if as_turns {
+            let constants = |values: &[f64]| {
+                std::array::from_fn(|i| constant(values, dim + i).clamp(-MAX_TURN, MAX_TURN))
+            };
+            let (constants, of_constants) = (constants(&mean), constants(&stddev));
+            let states = (&mean_states, &stddev_states);
+            (mean_states, stddev_states) = from_turns(states, (&constants, &of_constants));
+        }
+        Generated { mean: mean_states, stddev: stddev_states, duration_secs }
     }
 }
 

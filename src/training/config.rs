@@ -32,6 +32,9 @@ pub struct TrainingConfig {
     pub alpha: f64,
     /// Epochs over which alpha grows from 0.
     pub alpha_ramp_epochs: usize,
+    /// Our variant: factor of the likelihood of what is the same at each step of a motion, durations
+    /// and a turn's axis and first orientation, which would else count as often as there are steps.
+    pub constants_factor: f64,
     /// The networks.
     pub network: NetworkConfig,
     /// The adversary.
@@ -114,6 +117,7 @@ impl Default for TrainingConfig {
             beta: 4.0,
             alpha: 50.0,
             alpha_ramp_epochs: 20,
+            constants_factor: 1.0,
             network: NetworkConfig::default(),
             adversary: AdversaryConfig::default(),
             manner: MannerConfig::default(),
@@ -140,19 +144,21 @@ impl TrainingConfig {
         Self {
             steps: 100,
             epochs: 40,
-            beta: 8.0,
-            alpha: 20.0,
+            beta: 2.0,
+            alpha: 50.0,
             alpha_ramp_epochs: 10,
+            constants_factor: 0.3,
             network: NetworkConfig {
-                latents: 10,
+                latents: 8,
                 prior_components: 16,
                 task_baseline: true,
                 margins: true,
                 segments: 3,
+                orientations_as_turns: true,
                 recognition_sees_context: true,
                 recognition_parts: 8,
                 phase_functions: 16,
-                least_log_variance: -6.0,
+                least_log_variance: -2.5,
                 ..NetworkConfig::default()
             },
             manner: MannerConfig {
@@ -192,6 +198,7 @@ impl TrainingConfig {
             factor("final_learning_rate_share", self.final_learning_rate_share),
             factor("beta", self.beta),
             factor("alpha", self.alpha),
+            factor("constants_factor", self.constants_factor),
             factor("manner.anchor_strength", self.manner.anchor_strength),
             factor("selection.threshold", self.selection.threshold),
         ] {
@@ -231,7 +238,7 @@ impl TrainingConfig {
     pub fn model(&self, state_dim: usize, task_dim: usize) -> ModelConfig {
         let network = self.network.clone();
         let steps = self.steps.saturating_add(2 * network.margin());
-        let state_dim = state_dim.saturating_add(network.segments);
+        let state_dim = state_dim.saturating_add(network.beside());
         ModelConfig { steps, state_dim, task_dim, network }
     }
 

@@ -366,7 +366,8 @@ pub fn train(
     let held_out = Normalised::new(&model, &units, &sequences(&data.validation), anchors);
 
     let layouts = layouts(config, &model);
-    let objective = Objective::new(&model, config.adversary.width, config.backend);
+    let objective = Objective::new(&model, config.adversary.width, config.backend)
+        .with_constants(config.constants_factor as f32);
     let mut state = start.unwrap_or_else(|| Checkpoint::start(&layouts, config.seed));
     let batches = train.len().div_ceil(config.batch);
     let total = config.epochs * batches;
