@@ -13,6 +13,10 @@ const MOTIONS: usize = 2000;
 /// R2 from which a factor gives its name to a manner parameter. Above one half no two parameters
 /// that are independent reach it for the same factor.
 const DOMINATES_R2: f64 = 0.6;
+/// The same where the parameter has no other effect worth telling, and no other parameter without a name
+/// has this one: of a factor that hangs together with another, such as a pour's largest tilt with its
+/// length, little is left to turn alone.
+const SOLE_R2: f64 = 0.2;
 /// R2 from which an effect is worth telling.
 const NOTABLE_R2: f64 = 0.1;
 
@@ -104,6 +108,21 @@ fn names(effects: &[Vec<Effect>], active: &[bool]) -> Vec<Option<&'static str>> 
             names[i] = name;
         }
     }
+    // What is left: one effect each, that no other parameter without a name has, too.
+    let notable = |i: usize| -> Vec<&Effect> {
+        let told = |e: &&Effect| active[i] && !e.per_unit.derived && e.r2 >= NOTABLE_R2;
+        effects[i].iter().filter(told).collect()
+    };
+    let unnamed: Vec<usize> = (0..names.len()).filter(|i| names[*i].is_none()).collect();
+    for &i in &unnamed {
+        let [sole] = notable(i)[..] else { continue };
+        let factor = sole.per_unit.name;
+        let has_it = |other: &&usize| notable(**other).iter().any(|e| e.per_unit.name == factor);
+        let alone = unnamed.iter().filter(has_it).count() == 1;
+        if sole.r2 >= SOLE_R2 && alone && !names.contains(&Some(factor)) {
+            names[i] = Some(factor);
+        }
+    }
     names
 }
 
@@ -184,6 +203,15 @@ mod tests {
         assert_eq!([&described[0].0, &described[1].0], ["h1", "h2"]);
         assert!(described[0].1.starts_with("+0.025 radius per unit (R2 0.4"), "{described:?}");
         assert_eq!(described[2].0, "start");
+    }
+
+    #[test]
+    fn what_another_factor_leaves_of_one_names_a_parameter_that_does_nothing_else() {
+        // The span follows the radius for the most part; the second parameter is the rest of it.
+        let decode = |w: &[f64], h: &[f64]| exact_arc(w, &[h[0], 0.85 * h[0] + 0.5 * h[1], h[2]]);
+        let described = describe(&Oracle::new(decode, exact_manner, -8.0), [true; 3]);
+        assert_eq!([&described[0].0, &described[1].0], ["radius", "span"], "{described:?}");
+        assert!(described[1].1.starts_with("+15 degrees span per unit (R2 0.2"), "{described:?}");
     }
 
     #[test]

@@ -149,7 +149,7 @@ impl TrainingConfig {
             alpha_ramp_epochs: 10,
             constants_factor: 0.3,
             network: NetworkConfig {
-                latents: 8,
+                latents: 6,
                 prior_components: 16,
                 task_baseline: true,
                 margins: true,
