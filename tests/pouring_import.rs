@@ -54,7 +54,7 @@ fn correlation(pairs: &[[f64; 2]]) -> f64 {
 
 #[test]
 fn the_full_set_is_imported_as_its_truth_says() {
-    let all = round_trip(&PourSimulation { count: 280, seed: 20, correlation: 0.88 });
+    let all = round_trip(&PourSimulation { seed: 20, ..PourSimulation::default() });
 
     let mut kinds: BTreeMap<&str, usize> = BTreeMap::new();
     let mut accurate = 0;
@@ -127,7 +127,7 @@ fn the_full_set_is_imported_as_its_truth_says() {
 
 #[test]
 fn without_correlation_the_manner_is_drawn_factor_by_factor() {
-    let simulation = PourSimulation { count: 280, seed: 5, correlation: 0.0 };
+    let simulation = PourSimulation { seed: 5, correlation: 0.0, ..PourSimulation::default() };
     let chain = baxter();
     let mut tilt_and_time = Vec::new();
     let mut start_and_distance = Vec::new();
@@ -147,7 +147,7 @@ fn without_correlation_the_manner_is_drawn_factor_by_factor() {
 fn one_seed_is_the_same_files_and_another_seed_is_not() {
     let chain = baxter();
     let text = |seed| {
-        let simulation = PourSimulation { count: 3, seed, correlation: 0.88 };
+        let simulation = PourSimulation { count: 3, seed, ..PourSimulation::default() };
         let folder = tempfile::tempdir().unwrap();
         let mut files = Vec::new();
         // In reverse: the order must not matter.

@@ -17,8 +17,8 @@ use tcvae::trajectory::Motion;
 use tcvae::{MovementPrimitive, mime, urdf};
 
 /// The pours of simulated recordings, as importing finds them.
-fn pours(count: usize) -> Splits {
-    let simulation = PourSimulation { count, seed: 20, correlation: 0.88 };
+fn pours(count: usize, both_sides: bool) -> Splits {
+    let simulation = PourSimulation { count, seed: 20, both_sides, ..PourSimulation::default() };
     let chain = urdf::chain(include_str!("../config/baxter.urdf"), "base", "left_gripper").unwrap();
     let robot = RobotConfig::default();
     let folder = tempfile::tempdir().unwrap();
@@ -73,8 +73,18 @@ fn means(scores: &[Score]) -> Vec<f64> {
 }
 
 #[test]
-fn on_simulated_pours_the_linear_ones_pour_where_they_are_told() {
-    let splits = pours(140);
+fn an_average_of_pours_to_both_sides_pours_nothing() {
+    let splits = pours(70, true);
+    let task = PouringTask::default();
+    let (space, config) = (task.task_space(), TaskConfig::Pouring(task));
+    let fit = || TpGmm::fit(&TpGmmConfig::default(), &space, &splits.train).unwrap();
+    let blended = measured("TP-GMM", &config, &splits, || Box::new(fit()));
+    assert!(means(&blended.success)[2] < 0.5);
+}
+
+#[test]
+fn on_pours_to_one_side_the_linear_ones_pour_where_they_are_told() {
+    let splits = pours(140, false);
     assert!(splits.train.len() > 50 && splits.test.len() > 15, "{}", splits.train.len());
     let task = PouringTask::default();
     let space = task.task_space();

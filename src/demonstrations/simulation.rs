@@ -52,11 +52,14 @@ pub struct PourSimulation {
     /// the manner follows from where the cups stand. 0.88 is life-like, with 0 every factor is
     /// drawn by itself, which is what measuring disentanglement needs.
     pub correlation: f64,
+    /// Whether people lean the cup to either side of the hand, mostly that to which they carry it;
+    /// else all lean it to the right. Averages of both sides pour nothing.
+    pub both_sides: bool,
 }
 
 impl Default for PourSimulation {
     fn default() -> Self {
-        Self { count: 280, seed: 0, correlation: 0.88 }
+        Self { count: 280, seed: 0, correlation: 0.88, both_sides: true }
     }
 }
 
@@ -206,7 +209,7 @@ impl PourSimulation {
         for redrawn in 0..MAX_TRIES {
             // A few guides push joints beyond the limits of the description.
             let chain = if rng.random_bool(0.3) { &loose } else { chain };
-            let plan = Plan::draw(self.correlation, assignment.trap, &mut rng);
+            let plan = Plan::draw(self, assignment.trap, &mut rng);
             let Some(joints) = plan.joints(chain, &mut rng) else { continue };
             let raw = plan.raw(assignment, joints, &mut rng);
             let truth = plan.truth(assignment);
@@ -315,9 +318,9 @@ const POUR_TILT_DEG: f64 = 70.0;
 const END_TILT_DEG: f64 = 20.0;
 
 impl Plan {
-    fn draw(correlation: f64, trap: Option<Reason>, rng: &mut ChaCha8Rng) -> Self {
-        let scene = Scene::draw(correlation, trap, rng);
-        let manner = Manner::draw(correlation, trap, &scene, rng);
+    fn draw(simulation: &PourSimulation, trap: Option<Reason>, rng: &mut ChaCha8Rng) -> Self {
+        let scene = Scene::draw(simulation.correlation, trap, rng);
+        let manner = Manner::draw(simulation, trap, &scene, rng);
         let mut clock = rng.random_range(0.4..1.4);
         let approach = scene.grasp.rotation * Vector3::z();
 
@@ -849,7 +852,13 @@ struct Manner {
 }
 
 impl Manner {
-    fn draw(correlation: f64, trap: Option<Reason>, scene: &Scene, rng: &mut ChaCha8Rng) -> Self {
+    fn draw(
+        simulation: &PourSimulation,
+        trap: Option<Reason>,
+        scene: &Scene,
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
+        let PourSimulation { correlation, both_sides, .. } = *simulation;
         let tied = correlation * 0.6;
         let from_roll = match rng.random_range(0.0..1.0) {
             u if u < 0.6 => rng.random_range(0.0..12.0),
@@ -860,8 +869,10 @@ impl Manner {
         let (roll, pitch) = (hand * Vector3::z(), -(hand * Vector3::y()));
         // People mostly lean a cup to the side to which they carry it.
         let way = scene.pour - scene.grasp.translation.vector;
-        let natural = rng.random_bool(0.5 + 0.5 * correlation);
-        let to_the_right = is_to_the_right(&way, &hand) == natural;
+        let to_the_right = match both_sides {
+            true => is_to_the_right(&way, &hand) == rng.random_bool(0.5 + 0.5 * correlation),
+            false => true,
+        };
         let from_right_deg = if to_the_right { from_roll } else { 180.0 - from_roll };
         let from_right = from_right_deg.to_radians();
         let tilt_axis =

@@ -49,7 +49,8 @@ pub(crate) struct SimulateArgs {
     count: Option<usize>,
     /// A setting; arcs: start=half|full (start angles in [0, pi] or all), steps=N (points of an
     /// arc); pouring: correlation=R from 0 to below 1 (of the largest tilt with the time of the
-    /// pour; life-like is 0.88)
+    /// pour; life-like is 0.88), sides=both|right (people lean the cup to the side to which they
+    /// carry it, or all to the right)
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
     /// Folder to write, new or empty
@@ -120,13 +121,19 @@ fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
         "a number from 0 to below 1",
         |value| value.parse().ok().filter(|r| (0.0..1.0).contains(r)),
     )?;
+    let both_sides =
+        settings.get("sides", default.both_sides, "both or right", |value| match value {
+            "both" => Some(true),
+            "right" => Some(false),
+            _ => None,
+        })?;
     settings.finish()?;
     let count = count.unwrap_or(default.count);
     if !(1..=MAX_POURS).contains(&count) {
         let reason = format!("--count {count}: 1 to {MAX_POURS} pours are simulated at once");
         return Err(UsageError(reason).into());
     }
-    let simulation = PourSimulation { count, seed: *seed, correlation };
+    let simulation = PourSimulation { count, seed: *seed, correlation, both_sides };
     let refused = |what: &dyn std::fmt::Display| {
         UsageError(format!("{}: {what}; choose a new folder", output.display()))
     };
@@ -152,7 +159,7 @@ fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
         print_json(&json!({
             "folder": output, "demonstrations": count, "accepted": accepted,
             "excluded": count - accepted, "redrawn": redrawn, "correlation": correlation,
-            "seed": seed,
+            "both_sides": both_sides, "seed": seed,
         }));
     } else {
         let (folder, out) = (output.display(), count - accepted);
