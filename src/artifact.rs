@@ -307,6 +307,7 @@ impl Artifact {
         let tasks = tasks.map(|w| w.iter().map(|v| f64::from(*v)).collect()).collect();
         Ok(ServedModel {
             model_id: self.model_id(),
+            method: document.learned.name().into(),
             task: document.task.clone().into_task(),
             frame: StateFrame { reference },
             duration_secs: document.duration_secs,

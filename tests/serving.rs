@@ -111,6 +111,7 @@ fn model(offset_m: f64) -> ServedModel {
     let familiarity = Familiarity::new((0..500).map(&mut draw).collect(), &primitive);
     ServedModel {
         model_id: "0123456789ab".into(),
+        method: "TC-VAE".into(),
         frame: task.state_frame(),
         primitive: Box::new(primitive),
         task: Box::new(task),

@@ -50,11 +50,12 @@ impl Banner<'_> {
         };
         let mut text = format!(
             "tcvae {} serves {} as {names} in domain {} ({reach})\n  \
-             model   {} ({}), trained on {data} demonstrations\n  \
+             model   {} {} ({}), trained on {data} demonstrations\n  \
              robot   {} ({}), {} joints from {} to {}\n",
             env!("CARGO_PKG_VERSION"),
             description.primitive,
             environment.domain,
+            description.method,
             description.model_id,
             source(self.model_path),
             description.robot,
@@ -178,6 +179,7 @@ mod tests {
         };
         let description = Description {
             model_id: "0123456789ab".into(),
+            method: "TC-VAE".into(),
             primitive: "pouring".into(),
             task_names: vec![],
             task_lower: vec![],
@@ -217,7 +219,7 @@ mod tests {
         let text = text(EVALUATION);
         for expected in [
             "serves pouring as /left/tcvae in domain 0 (the whole subnet)",
-            "model   0123456789ab (built in), trained on synthetic demonstrations",
+            "model   TC-VAE 0123456789ab (built in), trained on synthetic demonstrations",
             "robot   baxter (my.urdf), 7 joints from base to left_gripper",
             "scores  robustness 0.880 [0.860, 0.900] within 0.02 m",
             "scores  3 active latents, leak R2 0.040, 400 test cases",

@@ -240,6 +240,7 @@ pub fn manner(axes: &[MannerAxis], values: &[f64]) -> Vec<tcvae_msgs::MannerPara
 pub fn description(description: Description) -> tcvae_msgs::DescribePrimitiveResponse {
     let Description {
         model_id,
+        method: _,
         primitive,
         task_names,
         task_lower,
@@ -274,6 +275,7 @@ pub fn model_info(description: &Description, frames: &Frames) -> String {
     serde_json::json!({
         "model_id": description.model_id,
         "primitive": description.primitive,
+        "method": description.method,
         "synthetic_data": description.synthetic_data,
         "robot": description.robot,
         "base_frame": frames.base,

@@ -42,7 +42,8 @@ use super::participant::{self, ParticipantError};
 use super::state::{Loaded, Loader, NodeState};
 use super::wiring::{Reply, Wiring, WiringError, answer, each, latched, reliable};
 use crate::serving::{
-    ErrorCode, GivenLocation, PrimitiveServer, Refusal, Sample, SampleReply, SampleRequest,
+    Description, ErrorCode, GivenLocation, PrimitiveServer, Refusal, Sample, SampleReply,
+    SampleRequest,
 };
 
 /// Why the node does not run.
@@ -764,7 +765,8 @@ impl Shared {
     /// Publishes what is served.
     fn announce_model(&self) {
         let description = self.state().server.describe();
-        log::info!("serving {} with model {}", description.primitive, description.model_id);
+        let Description { primitive, method, model_id, .. } = &description;
+        log::info!("serving {primitive} with the {method} model {model_id}");
         let data = convert::model_info(&description, &self.frames);
         if let Err(e) = self.model_info.publish(Text { data }) {
             log::warn!("the model's description could not be sent: {e}");

@@ -12,6 +12,8 @@ use crate::serving::Familiarity;
 pub struct ServedModel {
     /// First 12 digits of the SHA-256 over what was learned.
     pub model_id: String,
+    /// How it was learned, such as `TC-VAE` or `ProMP`.
+    pub method: String,
     /// The primitive; its states are the 6-D states of [`crate::pose`].
     pub primitive: Box<dyn MannerConditioned + Send + Sync>,
     /// What the task measures of a motion.

@@ -117,6 +117,8 @@ pub struct SampleReply {
 pub struct Description {
     /// The model that is served.
     pub model_id: String,
+    /// How it was learned, such as `TC-VAE` or `ProMP`.
+    pub method: String,
     /// Name of the task, such as `pouring`.
     pub primitive: String,
     /// Names of the values of `w`.

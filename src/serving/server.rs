@@ -200,6 +200,7 @@ impl PrimitiveServer {
         let intervals = model.space().intervals();
         Description {
             model_id: model.model_id.clone(),
+            method: model.method.clone(),
             primitive: model.task.name().into(),
             task_names: model.space().value_names(),
             task_lower: intervals.iter().map(|i| i.lower).collect(),

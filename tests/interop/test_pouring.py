@@ -229,6 +229,7 @@ def test_who_joins_late_gets_no_old_trajectory_but_the_model_and_the_path(node, 
     assert info["joint_names"] == list(description.joint_names)
     assert info["evaluation"] == json.loads(description.evaluation_json)
     assert info["synthetic_data"] is True
+    assert (info["primitive"], info["method"]) == ("pouring", "TC-VAE")
 
 
 def test_20_fresh_clients_one_after_another_are_all_served(node, make_client, arm):
