@@ -103,6 +103,13 @@ fn a_page_is_made_from_trained_files() {
     let told = String::from_utf8(output.stderr).expect("text");
     assert!(told.contains("nowhere: no such file or folder"), "{told}");
 
+    let nothing_to_turn = REPORT.replace("rows = [\"TC-VAE\"]", "rows = [\"ProMP\"]");
+    fs::write(path.join("nothing.toml"), nothing_to_turn).expect("written");
+    let output = tcvae(&["report", "--config", "nothing.toml", "-o", "none"], path);
+    let told = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(told.contains("Figure 6: ProMP has no manner parameter to turn"), "{told}");
+
     // What was measured is kept, and the same page is made of it.
     let kept = fs::read_dir(path.join("measured")).expect("a folder").count();
     assert_eq!(kept, 2 * 3);
@@ -124,5 +131,7 @@ fn a_report_that_can_not_be_is_refused() {
     assert!(refusal(&other, 2).contains("\"Arcs\" has no row \"two seeds\""));
     assert!(refusal(&REPORT.replace("seeds = [0, 1]", "seeds = []"), 2).contains("has no seeds"));
     assert!(refusal(&REPORT.replace("caption", "text"), 2).contains("unknown field `text`"));
+    let same = REPORT.replace("Figure 7", "Figure 6");
+    assert!(refusal(&same, 2).contains("two figures are named \"Figure 6\""));
     assert!(refusal(REPORT, 3).contains("model-0.safetensors"));
 }

@@ -12,6 +12,7 @@ use tcvae::report::{
 };
 use tcvae::trajectory::Motion;
 
+use super::super::UsageError;
 use super::{Figure, Loaded, Shows, Sources, row, slug};
 
 /// Values of a manner parameter along its traversal, in standard deviations.
@@ -19,6 +20,23 @@ const VALUES: [f64; 7] = [-2.0, -4.0 / 3.0, -2.0 / 3.0, 0.0, 2.0 / 3.0, 4.0 / 3.
 /// Tasks that samples are shown for, and samples for each.
 const TASKS: usize = 6;
 const SAMPLES: usize = 40;
+
+/// Checks that there is something to turn where a figure turns manner parameters.
+pub(super) fn check(figures: &[Figure], rows: &[Loaded<'_>]) -> Result<(), UsageError> {
+    for Figure { name, rows: names, .. } in
+        figures.iter().filter(|figure| !matches!(figure.shows, Shows::Locations))
+    {
+        for row in names.iter().map(|name| row(rows, name)) {
+            if row.models[0].primitive().manner_space().dim() == 0 {
+                let row = &row.config.name;
+                return Err(UsageError(format!(
+                    "{name}: {row} has no manner parameter to turn; show its locations"
+                )));
+            }
+        }
+    }
+    Ok(())
+}
 
 /// A picture for each row; of locations, one for all.
 pub(super) fn draw(

@@ -4,8 +4,8 @@ mod figures;
 mod measures;
 mod tables;
 
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -189,6 +189,13 @@ pub(crate) fn run(args: ReportArgs) -> anyhow::Result<ExitStatus> {
 impl ReportConfig {
     /// Checks what no type can say.
     fn check(&self) -> Result<(), String> {
+        let mut figures = HashSet::new();
+        for figure in self.parts.iter().flat_map(|part| &part.figures) {
+            if !figures.insert(slug(&figure.name)) {
+                let name = &figure.name;
+                return Err(format!("two figures are named {name:?}, and so would be their files"));
+            }
+        }
         for part in &self.parts {
             let known = |row: &String| part.rows.iter().any(|r| r.name == *row);
             let named = part.compare.iter().flatten();
@@ -236,6 +243,7 @@ fn report_part(
         Ok(Loaded { config: row, models })
     });
     let rows: Vec<Loaded<'_>> = rows.collect::<anyhow::Result<_>>()?;
+    figures::check(&part.figures, &rows)?;
     let sources = Sources::load(part, &rows)?;
     let measures = Measures { cache: &config.cache, seed: config.seed };
 
