@@ -48,8 +48,8 @@
 //! | [`training`] | the alternating optimisation (feature `train`) |
 //! | [`serving`] | the state and the rules of the node, without any I/O |
 //!
-//! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], [`mime`], `ros` and
-//! [`report`], don't know each other; the two binaries wire them together.
+//! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], [`mime`], `bag`,
+//! `ros` and [`report`], don't know each other; the two binaries wire them together.
 
 pub mod parameters;
 
@@ -77,6 +77,8 @@ pub mod serving;
 
 // Adapters: they don't know each other; the binaries wire them.
 pub mod artifact;
+#[cfg(feature = "bag")]
+pub mod bag;
 pub mod config;
 pub mod dataset;
 pub mod mime;

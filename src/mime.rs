@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-use crate::demonstrations::recording::{Channels, GripperRecording, JointRecording};
+use crate::demonstrations::recording::{
+    Channels, GripperChannel, GripperRecording, JointRecording,
+};
 use crate::demonstrations::simulation::{MIME_JOINTS, RawDemonstration};
 
 /// Frames per second of a MIME recording.
@@ -178,7 +180,7 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
     let mut damaged = lines.damaged;
 
     let mut grippers = Vec::new();
-    for name in &channels.grippers {
+    for GripperChannel { name, .. } in &channels.grippers {
         let file = folder.join(format!("{name}.txt"));
         if !file.exists() {
             continue;
@@ -207,9 +209,9 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
         damaged.extend(lines.damaged);
     }
     if let Some(missing) =
-        channels.grippers.iter().find(|n| !folder.join(format!("{n}.txt")).exists())
+        channels.grippers.iter().find(|g| !folder.join(format!("{}.txt", g.name)).exists())
     {
-        let file = folder.join(format!("{missing}.txt"));
+        let file = folder.join(format!("{}.txt", missing.name));
         problems.push(Problem { file, line: 0, what: "the file is missing".into() });
     }
     if !problems.is_empty() {
@@ -418,12 +420,15 @@ pub fn write(folder: &Path, demonstration: &RawDemonstration) -> Result<(), Mime
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::demonstrations::recording::GripperSource;
     use proptest::prelude::*;
 
     fn channels() -> Channels {
         Channels {
             joints: ["left_s0", "left_s1"].map(String::from).to_vec(),
-            grippers: ["left_gripper", "right_gripper"].map(String::from).to_vec(),
+            grippers: ["left_gripper", "right_gripper"]
+                .map(|name| GripperChannel { name: name.into(), source: GripperSource::default() })
+                .to_vec(),
         }
     }
 

@@ -2,6 +2,7 @@
 
 pub mod arcs;
 pub mod augmentation;
+pub mod joint_messages;
 pub mod mirroring;
 pub mod pouring;
 pub mod recording;

@@ -280,8 +280,16 @@ impl PouringTask {
             |e: super::recording::RecordingError| Exclusion::new(Reason::Unreadable, e.to_string());
         let mut found: Option<Segment> = None;
         let mut others: Vec<(f64, Exclusion)> = Vec::new();
+        let mut missing = None;
         for arm in robot.arms() {
-            let motion = arm.motion(recording, chain).map_err(unreadable)?;
+            let motion = match arm.motion(recording, chain) {
+                Ok(motion) => motion,
+                // One arm is enough.
+                Err(e) => {
+                    missing.get_or_insert(e);
+                    continue;
+                }
+            };
             match (self.segment(&motion), &found) {
                 (Ok(segment), None) => found = Some(segment),
                 (Ok(segment), Some(other)) => {
@@ -306,7 +314,10 @@ impl PouringTask {
             None => {
                 // An arm that only drifts, or holds the bowl, did not mean to pour.
                 let moved_most = others.into_iter().max_by(|(a, _), (b, _)| a.total_cmp(b));
-                return Err(moved_most.expect("a robot has an arm").1);
+                return Err(match (moved_most, missing) {
+                    (Some((_, exclusion)), _) => exclusion,
+                    (None, missing) => unreadable(missing.expect("a robot has an arm")),
+                });
             }
         };
         let w = self.empirical_task(&segment.motion).map_err(|e| {

@@ -61,7 +61,10 @@ pub enum RecordingError {
         known: String,
     },
     /// The arm's gripper is missing.
-    #[error("the recording has no gripper {name:?}; it has {known}")]
+    #[error(
+        "the recording has no gripper {name:?}; it has {known}. Name its joint or its topic as \
+         gripper_source in the robot's TOML"
+    )]
     GripperMissing {
         /// Name of the gripper.
         name: String,
@@ -78,12 +81,49 @@ pub struct Arm {
     pub name: String,
     /// Names of the joints, in the order of the chain.
     pub joints: Vec<String>,
-    /// Name of the gripper.
+    /// Name of the gripper; in the layout of MIME, of its file.
     pub gripper: String,
+    /// Where messages say how far the gripper is open.
+    #[serde(default, skip_serializing_if = "GripperSource::is_empty")]
+    pub gripper_source: GripperSource,
     /// For an arm that is the mirror image of the chain's: the sign of each joint with which its
     /// angles are those of the chain's arm in mirrored motion. Absent for the chain's own arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirror_signs: Option<Vec<f64>>,
+}
+
+/// Where messages say how far a gripper is open, and in which numbers: a joint among the joint states, or
+/// a topic of numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GripperSource {
+    /// A finger's joint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joint: Option<String>,
+    /// A topic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub topic: Option<String>,
+    /// The value when it is closed, rad or m of the joint, or as the topic counts.
+    pub closed: f64,
+    /// The value when it is open; may be less than `closed`.
+    pub open: f64,
+}
+
+impl Default for GripperSource {
+    fn default() -> Self {
+        Self { joint: None, topic: None, closed: 0.0, open: 100.0 }
+    }
+}
+
+impl GripperSource {
+    fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Per cent that the gripper is open, beyond 0 and 100 where `value` is beyond the ends.
+    pub fn percent_open(&self, value: f64) -> f64 {
+        100.0 * (value - self.closed) / (self.open - self.closed)
+    }
 }
 
 /// The robot that demonstrations were recorded on (`config/robots/*.toml`).
@@ -117,6 +157,13 @@ impl Default for RobotConfig {
             name: side.into(),
             joints: joints(side),
             gripper: format!("{side}_gripper"),
+            // Of the electric gripper's description: a finger moves by 20.8 mm.
+            gripper_source: GripperSource {
+                joint: Some(format!("{}_gripper_l_finger_joint", &side[..1])),
+                topic: None,
+                closed: 0.0,
+                open: 0.0208,
+            },
             mirror_signs,
         };
         Self {
@@ -140,7 +187,13 @@ impl RobotConfig {
     pub fn channels(&self) -> Channels {
         Channels {
             joints: self.arms().flat_map(|a| a.joints.clone()).collect(),
-            grippers: self.arms().map(|a| a.gripper.clone()).collect(),
+            grippers: self
+                .arms()
+                .map(|a| GripperChannel {
+                    name: a.gripper.clone(),
+                    source: a.gripper_source.clone(),
+                })
+                .collect(),
         }
     }
 }
@@ -150,8 +203,17 @@ impl RobotConfig {
 pub struct Channels {
     /// Names of joints.
     pub joints: Vec<String>,
-    /// Names of grippers.
-    pub grippers: Vec<String>,
+    /// Grippers.
+    pub grippers: Vec<GripperChannel>,
+}
+
+/// A gripper that an importer is to read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GripperChannel {
+    /// Its name.
+    pub name: String,
+    /// Where messages speak of it.
+    pub source: GripperSource,
 }
 
 /// The motion of one arm, as that of the served arm.

@@ -33,11 +33,12 @@ pub(crate) fn run(args: InspectArgs) -> anyhow::Result<ExitStatus> {
 /// The machine-readable answer.
 fn answer(examination: &Examination) -> Value {
     let demonstration = |recording: &Examined| {
-        let Examined { id, duration_secs, rate_hz, skipped_lines, digest: _, outcome } = recording;
+        let Examined { id, duration_secs, rate_hz, skipped, damage, digest: _, outcome } =
+            recording;
         let mut value = json!({
             "id": id, "accepted": outcome.is_ok(), "reason": null, "detail": detail(examination, recording),
             "duration_secs": duration_secs, "rate_hz": rate_hz, "arm": null, "task": null,
-            "skipped_lines": skipped_lines,
+            "skipped_lines": skipped, "damage": damage,
         });
         match outcome {
             Err(exclusion) => value["reason"] = json!(exclusion.reason),
@@ -74,14 +75,15 @@ fn task_json(examination: &Examination, w: &[f64]) -> Value {
 
 /// What there is to say about one recording.
 fn detail(examination: &Examination, recording: &Examined) -> String {
-    match &recording.outcome {
-        Err(exclusion) => exclusion.detail.clone(),
+    let mut list = match &recording.outcome {
+        Err(exclusion) => vec![exclusion.detail.clone()],
         Ok((segment, _)) => {
             let violations = examination.task.violations(&segment.motion);
-            let list: Vec<_> = violations.iter().map(ToString::to_string).collect();
-            list.join("; ")
+            violations.iter().map(ToString::to_string).collect()
         }
-    }
+    };
+    list.extend(recording.damage.iter().map(|damage| format!("damaged: {damage}")));
+    list.join("; ")
 }
 
 fn print_table(examination: &Examination) {
@@ -134,9 +136,9 @@ fn print_table(examination: &Examination) {
             .trim_end(),
         );
     }
-    let skipped: usize = examination.recordings.iter().map(|r| r.skipped_lines).sum();
+    let skipped: usize = examination.recordings.iter().map(|r| r.skipped).sum();
     print_line(&format!("\n{}", examination.summary()));
     if skipped > 0 {
-        print_line(&format!("{skipped} lines that are no frame were skipped"));
+        print_line(&format!("{skipped} lines or messages that are no frame were skipped"));
     }
 }

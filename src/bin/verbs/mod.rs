@@ -3,6 +3,7 @@
 pub(crate) mod evaluate;
 pub(crate) mod inspect;
 mod metrics;
+mod recorded;
 pub(crate) mod report;
 pub(crate) mod sample;
 pub(crate) mod simulate;

@@ -20,9 +20,10 @@ use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::kinematics::RobotRecord;
 use tcvae::kinematics::following::{FollowOptions, follow};
 use tcvae::trajectory::Motion;
-use tcvae::{dataset, mime, urdf};
+use tcvae::{dataset, urdf};
 
 use super::UsageError;
+use super::recorded::Recorded;
 
 /// The robot of a TOML file, with arms that fit its chain; Baxter without one.
 pub(crate) fn load_robot(path: Option<&Path>) -> anyhow::Result<LoadedRobot> {
@@ -62,8 +63,8 @@ fn usage(error: ConfigError) -> UsageError {
 /// Recordings, and which of them to use.
 #[derive(Debug, Default, Args)]
 pub(crate) struct Recordings {
-    /// Folders of demonstrations in the layout of MIME, or folders of such folders; for training
-    /// also a data set that `tcvae simulate arcs` wrote
+    /// Bags (.mcap files, folders of rosbag2) and folders of demonstrations in the layout of MIME, or
+    /// folders of these; for training also a data set that `tcvae simulate arcs` wrote
     #[arg(required = true, value_name = "RECORDINGS")]
     pub(crate) paths: Vec<PathBuf>,
     /// The robot that was recorded; Baxter without it
@@ -89,9 +90,11 @@ pub(crate) struct Examined {
     pub(crate) duration_secs: f64,
     /// Frames per second; 0 where it can't be read.
     pub(crate) rate_hz: f64,
-    /// Lines that were skipped.
-    pub(crate) skipped_lines: usize,
-    /// SHA-256 over the files; empty where they can't be read.
+    /// Lines, or messages and values, that were skipped.
+    pub(crate) skipped: usize,
+    /// What is damaged of it.
+    pub(crate) damage: Vec<String>,
+    /// SHA-256 over what was read; empty where they can't be read.
     pub(crate) digest: String,
     /// The demonstration, or why there is none.
     pub(crate) outcome: Result<(Segment, Demonstration), Exclusion>,
@@ -123,29 +126,24 @@ impl Recordings {
                 return Err(UsageError(reason).into());
             }
         };
-        let mut folders = Vec::new();
+        let mut found = Vec::new();
         for path in &self.paths {
-            folders.extend(mime::find(path)?);
+            found.extend(Recorded::find(path)?);
         }
-        let synthetic = folders.iter().any(|folder| {
-            let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.clone());
-            folder.parent().is_some_and(|task| task.join(super::simulate::TRUTH_FILE).is_file())
-        });
-        let ids = ids(&folders);
+        let synthetic = found.iter().any(|r| r.has_beside(super::simulate::TRUTH_FILE));
+        let ids = ids(&found);
         let user = self.left_out_by_user(&ids)?;
         let channels = robot.config.channels();
-        let examine = |((folder, id), user): ((&PathBuf, String), bool)| {
-            let read = mime::read(folder, &channels);
-            let (mut duration_secs, mut rate_hz, mut skipped_lines) = (0.0, 0.0, 0);
-            let mut digest = String::new();
-            let outcome = match read {
-                Err(error) => Err(Exclusion::new(Reason::Unreadable, error.to_string())),
+        let examine = |((recorded, id), user): ((&Recorded, String), bool)| {
+            let (mut duration_secs, mut rate_hz, mut skipped) = (0.0, 0.0, 0);
+            let (mut damage, mut digest) = (Vec::new(), String::new());
+            let outcome = match recorded.read(&channels) {
+                Err(reason) => Err(Exclusion::new(Reason::Unreadable, reason)),
                 Ok(mut read) => {
                     read.recording.id.clone_from(&id);
                     duration_secs = read.recording.duration_secs();
                     rate_hz = read.recording.rate_hz();
-                    skipped_lines = read.stray_lines + read.damaged.len();
-                    digest = read.digest;
+                    (skipped, damage, digest) = (read.skipped, read.damage, read.digest);
                     task.demonstration(&read.recording, &robot.config, &robot.chain)
                 }
             };
@@ -154,9 +152,9 @@ impl Recordings {
             } else {
                 outcome
             };
-            Examined { id, duration_secs, rate_hz, skipped_lines, digest, outcome }
+            Examined { id, duration_secs, rate_hz, skipped, damage, digest, outcome }
         };
-        let work: Vec<_> = folders.iter().zip(ids).zip(user).collect();
+        let work: Vec<_> = found.iter().zip(ids).zip(user).collect();
         let recordings = work.into_par_iter().map(examine).collect();
         Ok(Examination { robot, task, recordings, synthetic })
     }
@@ -373,7 +371,7 @@ pub(crate) struct Counts {
 }
 
 /// Names of the folders; those that stand twice with the folder above.
-fn ids(folders: &[PathBuf]) -> Vec<String> {
+fn ids(found: &[Recorded]) -> Vec<String> {
     let name = |path: &Path| {
         // The name of `.` is that of the folder it stands for.
         let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
@@ -381,12 +379,12 @@ fn ids(folders: &[PathBuf]) -> Vec<String> {
             .map_or_else(|| "demonstration".into(), |n| n.to_string_lossy().into_owned())
     };
     let mut count: BTreeMap<String, usize> = BTreeMap::new();
-    for folder in folders {
-        *count.entry(name(folder)).or_default() += 1;
+    for recorded in found {
+        *count.entry(name(recorded.path())).or_default() += 1;
     }
-    let id = |folder: &PathBuf| {
-        let own = name(folder);
-        if count[&own] > 1 { folder.to_string_lossy().into_owned() } else { own }
+    let id = |recorded: &Recorded| {
+        let own = name(recorded.path());
+        if count[&own] > 1 { recorded.path().to_string_lossy().into_owned() } else { own }
     };
-    folders.iter().map(id).collect()
+    found.iter().map(id).collect()
 }

@@ -1,0 +1,226 @@
+//! Messages as bytes: joint states and numbers, in the two encodings that ROS has used. Only the fields
+//! that are asked for are read, and all of these are the first of their messages.
+
+use crate::demonstrations::joint_messages::{JointMessages, MessageTime};
+
+/// How messages are written as bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Encoding {
+    /// ROS 2: the OMG's common data representation, with its four bytes ahead.
+    Cdr,
+    /// ROS 1.
+    Ros1,
+}
+
+impl Encoding {
+    /// By the name that bags give it.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        match name {
+            "cdr" => Some(Self::Cdr),
+            "ros1" | "ros1msg" => Some(Self::Ros1),
+            _ => None,
+        }
+    }
+}
+
+/// What a topic of a bag tells, as far as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Content {
+    /// `sensor_msgs/JointState`.
+    JointStates,
+    /// A number of `std_msgs`.
+    Number(Number),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Number {
+    Bool,
+    Int8,
+    Int16,
+    Int32,
+    Int64,
+    UInt8,
+    UInt16,
+    UInt32,
+    UInt64,
+    Float32,
+    Float64,
+}
+
+impl Content {
+    /// By the type's name of ROS 1 or 2, such as `sensor_msgs/msg/JointState`; none where the type tells
+    /// nothing that is asked for.
+    pub(super) fn of_type(name: &str) -> Option<Self> {
+        let (package, message) = (name.split('/').next()?, name.rsplit('/').next()?);
+        let number = match (package, message) {
+            ("sensor_msgs", "JointState") => return Some(Self::JointStates),
+            ("std_msgs", "Bool") => Number::Bool,
+            ("std_msgs", "Int8") => Number::Int8,
+            ("std_msgs", "Int16") => Number::Int16,
+            ("std_msgs", "Int32") => Number::Int32,
+            ("std_msgs", "Int64") => Number::Int64,
+            ("std_msgs", "Byte" | "Char" | "UInt8") => Number::UInt8,
+            ("std_msgs", "UInt16") => Number::UInt16,
+            ("std_msgs", "UInt32") => Number::UInt32,
+            ("std_msgs", "UInt64") => Number::UInt64,
+            ("std_msgs", "Float32") => Number::Float32,
+            ("std_msgs", "Float64") => Number::Float64,
+            _ => return None,
+        };
+        Some(Self::Number(number))
+    }
+}
+
+/// Why bytes are no message.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub(super) enum MessageError {
+    #[error("it ends at byte {end}, where {needed} more are needed")]
+    Short { end: usize, needed: usize },
+    #[error("it begins with {first:?}, which is no plain CDR")]
+    Encapsulation { first: Vec<u8> },
+    #[error("a name in it is no text")]
+    Text,
+    #[error("it has {names} names and {positions} positions")]
+    Lengths { names: usize, positions: usize },
+}
+
+/// Gives the messages what one of a topic says.
+pub(super) fn take(
+    messages: &mut JointMessages<'_>,
+    topic: &str,
+    content: Content,
+    encoding: Encoding,
+    log_nanos: i64,
+    data: &[u8],
+) -> Result<(), MessageError> {
+    let mut fields = Fields::new(encoding, data)?;
+    match content {
+        Content::JointStates => {
+            if encoding == Encoding::Ros1 {
+                fields.u32()?; // seq
+            }
+            // In ROS 1 seconds have no sign; none of either is beyond 2038 yet.
+            let (secs, nanos) = (fields.u32()?.cast_signed(), fields.u32()?);
+            let stamp = i64::from(secs) * 1_000_000_000 + i64::from(nanos);
+            fields.text()?; // frame_id
+            let names = fields.texts()?;
+            let positions = fields.f64s()?;
+            // Some publishers leave out what they don't know, but then all of it.
+            if !positions.is_empty() && positions.len() != names.len() {
+                let (names, positions) = (names.len(), positions.len());
+                return Err(MessageError::Lengths { names, positions });
+            }
+            let time = MessageTime { log_nanos, stamp_nanos: (stamp != 0).then_some(stamp) };
+            messages.joint_states(topic, time, &names, &positions);
+        }
+        Content::Number(number) => {
+            let value = fields.number(number)?;
+            messages.gripper(topic, MessageTime { log_nanos, stamp_nanos: None }, value);
+        }
+    }
+    Ok(())
+}
+
+/// A message's fields, one after another.
+struct Fields<'a> {
+    /// From the first byte that alignment counts from.
+    data: &'a [u8],
+    at: usize,
+    encoding: Encoding,
+    big_endian: bool,
+}
+
+impl<'a> Fields<'a> {
+    fn new(encoding: Encoding, data: &'a [u8]) -> Result<Self, MessageError> {
+        let (data, big_endian) = match encoding {
+            Encoding::Ros1 => (data, false),
+            Encoding::Cdr => match data.split_first_chunk::<4>() {
+                Some(([0, 0, ..], data)) => (data, true),
+                Some(([0, 1, ..], data)) => (data, false),
+                Some((first, _)) => {
+                    return Err(MessageError::Encapsulation { first: first.to_vec() });
+                }
+                None => return Err(MessageError::Short { end: data.len(), needed: 4 }),
+            },
+        };
+        Ok(Self { data, at: 0, encoding, big_endian })
+    }
+
+    /// The next bytes, which as one value begin at a multiple of their number in CDR.
+    fn value<const N: usize>(&mut self) -> Result<[u8; N], MessageError> {
+        if self.encoding == Encoding::Cdr {
+            self.at = self.at.next_multiple_of(N);
+        }
+        let bytes = self.bytes(N)?;
+        let mut value: [u8; N] = bytes.try_into().expect("as many as asked for");
+        if self.big_endian {
+            value.reverse();
+        }
+        Ok(value)
+    }
+
+    fn bytes(&mut self, count: usize) -> Result<&'a [u8], MessageError> {
+        let rest = self.data.get(self.at..).unwrap_or_default();
+        let Some(bytes) = rest.get(..count) else {
+            let needed = count - rest.len();
+            return Err(MessageError::Short { end: self.data.len(), needed });
+        };
+        self.at += count;
+        Ok(bytes)
+    }
+
+    fn u32(&mut self) -> Result<u32, MessageError> {
+        Ok(u32::from_le_bytes(self.value()?))
+    }
+
+    /// How many elements follow, each of `least` bytes or more.
+    fn count(&mut self, least: usize) -> Result<usize, MessageError> {
+        let count = self.u32()? as usize;
+        let left = self.data.len().saturating_sub(self.at);
+        match count.checked_mul(least) {
+            Some(bytes) if bytes <= left => Ok(count),
+            _ => {
+                let needed = count.saturating_mul(least) - left;
+                Err(MessageError::Short { end: self.data.len(), needed })
+            }
+        }
+    }
+
+    fn text(&mut self) -> Result<&'a str, MessageError> {
+        let count = self.count(1)?;
+        let bytes = self.bytes(count)?;
+        // A CDR string ends with a 0, which counts.
+        let bytes = match self.encoding {
+            Encoding::Cdr => bytes.strip_suffix(&[0]).unwrap_or(bytes),
+            Encoding::Ros1 => bytes,
+        };
+        std::str::from_utf8(bytes).map_err(|_| MessageError::Text)
+    }
+
+    fn texts(&mut self) -> Result<Vec<String>, MessageError> {
+        // A text has at least its length.
+        let count = self.count(4)?;
+        (0..count).map(|_| Ok(self.text()?.to_owned())).collect()
+    }
+
+    fn f64s(&mut self) -> Result<Vec<f64>, MessageError> {
+        let count = self.count(8)?;
+        (0..count).map(|_| Ok(f64::from_le_bytes(self.value()?))).collect()
+    }
+
+    fn number(&mut self, number: Number) -> Result<f64, MessageError> {
+        Ok(match number {
+            Number::Bool => f64::from(u8::from(self.value::<1>()?[0] != 0)),
+            Number::Int8 => f64::from(i8::from_le_bytes(self.value()?)),
+            Number::Int16 => f64::from(i16::from_le_bytes(self.value()?)),
+            Number::Int32 => f64::from(i32::from_le_bytes(self.value()?)),
+            Number::Int64 => i64::from_le_bytes(self.value()?) as f64,
+            Number::UInt8 => f64::from(u8::from_le_bytes(self.value()?)),
+            Number::UInt16 => f64::from(u16::from_le_bytes(self.value()?)),
+            Number::UInt32 => f64::from(u32::from_le_bytes(self.value()?)),
+            Number::UInt64 => u64::from_le_bytes(self.value()?) as f64,
+            Number::Float32 => f64::from(f32::from_le_bytes(self.value()?)),
+            Number::Float64 => f64::from_le_bytes(self.value()?),
+        })
+    }
+}

@@ -1,0 +1,128 @@
+//! Pours in bags are found as those in the layout of MIME are.
+#![cfg(all(feature = "bag", feature = "train"))]
+
+mod support;
+
+use std::borrow::Cow;
+use std::fs::{self, File};
+use std::path::Path;
+use std::sync::Arc;
+
+use mcap::{Channel, Message, Schema};
+use serde_json::Value;
+use support::tcvae;
+use tcvae::demonstrations::recording::{JointRecording, RobotConfig};
+use tcvae::mime;
+
+/// A joint state in CDR, as a publisher on a PC writes it.
+fn joint_state(nanos: u64, names: &[String], positions: &[f64]) -> Vec<u8> {
+    let mut data = vec![0, 1, 0, 0];
+    fn number(data: &mut Vec<u8>, number: u32) {
+        while !data.len().is_multiple_of(4) {
+            data.push(0);
+        }
+        data.extend(number.to_le_bytes());
+    }
+    fn text(data: &mut Vec<u8>, text: &str) {
+        number(data, text.len() as u32 + 1);
+        data.extend(text.bytes().chain([0]));
+    }
+    number(&mut data, (nanos / 1_000_000_000) as u32);
+    number(&mut data, (nanos % 1_000_000_000) as u32);
+    text(&mut data, "base");
+    number(&mut data, names.len() as u32);
+    names.iter().for_each(|name| text(&mut data, name));
+    number(&mut data, positions.len() as u32);
+    // Alignment counts from after the first four bytes.
+    while data.len() % 8 != 4 {
+        data.push(0);
+    }
+    positions.iter().for_each(|position| data.extend(position.to_le_bytes()));
+    number(&mut data, 0);
+    number(&mut data, 0);
+    data
+}
+
+/// A recording as a bag in which Baxter's fingers are joints.
+fn write(recording: &JointRecording, path: &Path) {
+    let file = File::create(path).expect("a file");
+    let mut writer = mcap::Writer::new(file).expect("a bag");
+    let schema = Schema {
+        id: 1,
+        name: "sensor_msgs/msg/JointState".into(),
+        encoding: "ros2msg".into(),
+        data: Cow::Borrowed(b""),
+    };
+    let channel = Arc::new(Channel {
+        id: 0,
+        topic: "/robot/joint_states".into(),
+        schema: Some(Arc::new(schema)),
+        message_encoding: "cdr".into(),
+        metadata: Default::default(),
+    });
+    let mut names = recording.joint_names.clone();
+    let fingers =
+        recording.grippers.iter().map(|g| format!("{}_gripper_l_finger_joint", &g.name[..1]));
+    names.extend(fingers);
+    for (i, (time, joints)) in recording.times_secs.iter().zip(&recording.positions).enumerate() {
+        let nanos = 1_700_000_000_000_000_000 + (time * 1e9).round() as u64;
+        let mut positions = joints.clone();
+        positions.extend(recording.grippers.iter().map(|g| g.percent_open[i] * 0.01 * 0.0208));
+        let message = Message {
+            channel: channel.clone(),
+            sequence: i as u32,
+            log_time: nanos + 300_000,
+            publish_time: nanos,
+            data: Cow::Owned(joint_state(nanos, &names, &positions)),
+        };
+        writer.write(&message).expect("written");
+    }
+    writer.finish().expect("finished");
+}
+
+fn inspected(path: &str, folder: &Path) -> Value {
+    let output = tcvae(&["inspect", path, "--json"], folder);
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+#[test]
+fn a_bag_is_left_out_or_accepted_as_the_same_recording_in_the_layout_of_mime() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let simulate = ["simulate", "pouring", "--seed", "6", "--count", "14", "-o", "mime"];
+    assert_eq!(tcvae(&simulate, path).status.code(), Some(0));
+    fs::create_dir(path.join("bags")).expect("a folder");
+    let channels = RobotConfig::default().channels();
+    let demonstrations = mime::find(&path.join("mime")).expect("demonstrations");
+    let mut written = 0;
+    for demonstration in demonstrations {
+        let Ok(read) = mime::read(&demonstration, &channels) else { continue };
+        let id = demonstration.file_name().expect("a name").to_str().expect("text");
+        write(&read.recording, &path.join(format!("bags/{id}.mcap")));
+        written += 1;
+    }
+    assert!(written >= 12, "{written}");
+
+    let (mime, bags) = (inspected("mime", path), inspected("bags", path));
+    let of_mime = mime["demonstrations"].as_array().expect("a list");
+    let of_bags = bags["demonstrations"].as_array().expect("a list");
+    assert_eq!(of_bags.len(), written);
+    let mut accepted = 0;
+    for bag in of_bags {
+        let id = bag["id"].as_str().expect("a name").trim_end_matches(".mcap");
+        let same = of_mime.iter().find(|m| m["id"] == id).expect("the same recording");
+        for field in ["accepted", "reason", "arm"] {
+            assert_eq!(bag[field], same[field], "{id}: {field}");
+        }
+        if bag["accepted"] == true {
+            accepted += 1;
+            for location in ["pour_location", "source_cup"] {
+                for i in 0..2 {
+                    let value = |v: &Value| v["task"][location][i].as_f64().expect("a number");
+                    assert!((value(bag) - value(same)).abs() < 1e-6, "{id}: {bag} {same}");
+                }
+            }
+        }
+    }
+    assert!(accepted >= 8, "{accepted}");
+}
