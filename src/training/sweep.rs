@@ -340,14 +340,26 @@ mod tests {
 
     #[test]
     fn the_shipped_sweeps_are_ones() {
-        for text in [
-            include_str!("../../config/sweep-arcs.toml"),
-            include_str!("../../config/sweep-arcs-full.toml"),
-            include_str!("../../config/results-arcs.toml"),
-            include_str!("../../config/sweep-pouring.toml"),
+        for (text, runs) in [
+            (include_str!("../../config/sweep-arcs.toml"), 30),
+            (include_str!("../../config/sweep-arcs-full.toml"), 15),
+            (include_str!("../../config/sweep-pouring.toml"), 18),
+            (include_str!("../../config/results-arcs.toml"), 30),
+            (include_str!("../../config/results-arcs-full.toml"), 30),
+            (include_str!("../../config/results-pouring.toml"), 20),
         ] {
             let sweep: SweepConfig = toml::from_str(text).unwrap();
-            assert!(sweep.runs().unwrap().len() > 10);
+            assert_eq!(sweep.runs().unwrap().len(), runs, "{}", sweep.output);
+        }
+    }
+
+    #[test]
+    fn the_results_on_pouring_are_of_the_shipped_settings() {
+        let text = include_str!("../../config/results-pouring-ours.toml");
+        let sweep: SweepConfig = toml::from_str(text).unwrap();
+        for run in sweep.runs().unwrap() {
+            let shipped = TrainingConfig { seed: run.config.seed, ..TrainingConfig::pouring() };
+            assert_eq!(run.config, shipped);
         }
     }
 
