@@ -46,7 +46,7 @@ fn read(path: &Path) -> BagRecording {
 #[test]
 fn every_bag_is_read_as_python_reads_it() {
     let expected = expected();
-    assert_eq!(expected.bags.len(), 11);
+    assert_eq!(expected.bags.len(), 14);
     let (start, _) = expected.states[0];
     for name in &expected.bags {
         let BagRecording { recording, messages, skipped, damage, .. } = read(&folder().join(name));
@@ -69,7 +69,7 @@ fn every_bag_is_read_as_python_reads_it() {
 fn a_folder_of_bags_is_many_recordings_and_a_split_one_is_one() {
     let found = Bag::find(&folder()).unwrap();
     let names: Vec<_> = found.iter().map(|bag| bag.path.file_name().unwrap()).collect();
-    assert_eq!(names.len(), 11, "{names:?}");
+    assert_eq!(names.len(), 14, "{names:?}");
     let split = found.iter().find(|bag| bag.path.ends_with("sqlite_split")).unwrap();
     assert_eq!(split.files.len(), 3);
     assert!(split.files[1].ends_with("sqlite_split_1.db3"));
@@ -81,6 +81,7 @@ fn the_digest_is_of_what_was_read() {
     let digest = |name: &str| read(&folder().join(name)).digest;
     assert_eq!(digest("sqlite"), digest("sqlite_message"));
     assert_eq!(digest("zstd.mcap"), digest("no_index.mcap"));
+    assert_eq!(digest("ros1.mcap"), digest("lz4.bag"));
     assert_ne!(digest("zstd.mcap"), digest("ros1.mcap"));
 }
 
@@ -96,8 +97,10 @@ fn edited(name: &str, edit: impl Fn(&mut Vec<u8>)) -> (tempfile::TempDir, PathBu
 
 #[test]
 fn of_a_truncated_bag_what_comes_before_is_kept_and_the_damage_told() {
-    for name in ["zstd.mcap", "no_chunks.mcap", "plain.mcap", "ros1.mcap"] {
-        let (_folder, path) = edited(name, |bytes| bytes.truncate(bytes.len() * 2 / 5));
+    for name in
+        ["zstd.mcap", "no_chunks.mcap", "plain.mcap", "ros1.mcap", "none.bag", "bz2.bag", "lz4.bag"]
+    {
+        let (_folder, path) = edited(name, |bytes| bytes.truncate(bytes.len() * 3 / 5));
         let BagRecording { recording, damage, .. } = read(&path);
         let whole = read(&folder().join(name)).recording;
         let frames = recording.positions.len();
@@ -111,7 +114,7 @@ fn of_a_truncated_bag_what_comes_before_is_kept_and_the_damage_told() {
 fn a_bag_that_is_none_and_one_without_joint_states_say_so() {
     let refusal =
         |path: &Path| Bag::find(path).unwrap()[0].read(&channels()).unwrap_err().to_string();
-    for name in ["zstd.mcap", "sqlite/sqlite.db3", "sqlite_file/sqlite_file.db3.zstd"] {
+    for name in ["zstd.mcap", "none.bag", "sqlite/sqlite.db3", "sqlite_file/sqlite_file.db3.zstd"] {
         let (_folder, path) = edited(name, Vec::clear);
         let told = refusal(&path);
         assert!(told.contains(Path::new(name).file_name().unwrap().to_str().unwrap()), "{told}");
@@ -140,13 +143,13 @@ proptest! {
     /// Whatever is flipped, nothing panics, and frames that are kept have finite values in order.
     #[test]
     fn flipped_bytes_never_panic(
-        which in 0..6_usize,
+        which in 0..9_usize,
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
         keep in 0.3..1.0_f64,
     ) {
         let name = [
             "zstd.mcap", "lz4.mcap", "no_chunks.mcap", "ros1.mcap", "sqlite/sqlite.db3",
-            "sqlite_message/sqlite_message.db3",
+            "sqlite_message/sqlite_message.db3", "none.bag", "bz2.bag", "lz4.bag",
         ][which];
         let (_folder, path) = edited(name, |bytes| {
             let kept = (bytes.len() as f64 * keep) as usize;

@@ -224,3 +224,113 @@ impl<'a> Fields<'a> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demonstrations::recording::{Channels, GripperChannel, GripperSource};
+
+    fn channels() -> Channels {
+        let source = GripperSource { topic: Some("/hand".into()), ..GripperSource::default() };
+        let hand = GripperChannel { name: "hand".into(), source };
+        Channels { joints: vec!["a".into(), "bc".into()], grippers: vec![hand] }
+    }
+
+    /// `{stamp: 3 s 4 ns, frame_id: "x", name: [a, bc], position: [1.5, -2]}` byte by byte, after the
+    /// standard's rules.
+    fn cdr(big_endian: bool) -> Vec<u8> {
+        let number = |n: u32| if big_endian { n.to_be_bytes() } else { n.to_le_bytes() };
+        let real = |x: f64| if big_endian { x.to_be_bytes() } else { x.to_le_bytes() };
+        let mut data = vec![0, u8::from(!big_endian), 0, 0];
+        data.extend([number(3), number(4), number(2)].concat());
+        data.extend(b"x\0\0\0"); // with two bytes of padding
+        data.extend([number(2), number(2)].concat());
+        data.extend(b"a\0\0\0");
+        data.extend(number(3));
+        data.extend(b"bc\0\0");
+        data.extend(number(2));
+        // 40 bytes after the first four, which is a multiple of 8.
+        assert_eq!(data.len(), 44);
+        data.extend([real(1.5), real(-2.0)].concat());
+        data
+    }
+
+    fn ros1() -> Vec<u8> {
+        let mut data = Vec::new();
+        for n in [77_u32, 3, 4, 1] {
+            data.extend(n.to_le_bytes());
+        }
+        data.push(b'x');
+        data.extend([2_u32.to_le_bytes(), 1_u32.to_le_bytes()].concat());
+        data.push(b'a');
+        data.extend(2_u32.to_le_bytes());
+        data.extend(b"bc");
+        data.extend(2_u32.to_le_bytes());
+        data.extend([1.5_f64.to_le_bytes(), (-2.0_f64).to_le_bytes()].concat());
+        data
+    }
+
+    fn joint_states(encoding: Encoding, data: &[u8]) -> Result<Vec<Vec<f64>>, MessageError> {
+        let channels = channels();
+        let mut messages = JointMessages::new(&channels);
+        take(&mut messages, "/j", Content::JointStates, encoding, 5, data)?;
+        Ok(messages.assemble("one").recording.positions)
+    }
+
+    #[test]
+    fn joint_states_are_read_in_either_byte_order_and_encoding() {
+        for (encoding, data) in
+            [(Encoding::Cdr, cdr(false)), (Encoding::Cdr, cdr(true)), (Encoding::Ros1, ros1())]
+        {
+            assert_eq!(joint_states(encoding, &data), Ok(vec![vec![1.5, -2.0]]));
+        }
+    }
+
+    #[test]
+    fn a_message_that_is_cut_off_anywhere_says_where_it_ends() {
+        for (encoding, data) in [(Encoding::Cdr, cdr(false)), (Encoding::Ros1, ros1())] {
+            for end in 0..data.len() {
+                let error = joint_states(encoding, &data[..end]).unwrap_err();
+                assert!(matches!(error, MessageError::Short { .. }), "{end}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn lengths_beyond_the_message_ask_for_no_memory() {
+        let mut data = cdr(false);
+        data[24..28].copy_from_slice(&u32::MAX.to_le_bytes());
+        let error = joint_states(Encoding::Cdr, &data).unwrap_err();
+        assert!(matches!(error, MessageError::Short { .. }), "{error}");
+        let mut fewer = cdr(false);
+        fewer[40] = 1;
+        let error = joint_states(Encoding::Cdr, &fewer).unwrap_err();
+        assert_eq!(error.to_string(), "it has 2 names and 1 positions");
+        let parameters = [0, 3, 0, 0];
+        let error = joint_states(Encoding::Cdr, &parameters).unwrap_err();
+        assert_eq!(error, MessageError::Encapsulation { first: parameters.to_vec() });
+    }
+
+    #[test]
+    fn numbers_of_every_type_are_read() {
+        let values: [(&str, &[u8], f64); 8] = [
+            ("std_msgs/msg/Bool", &[1], 1.0),
+            ("std_msgs/Int8", &[0xfe], -2.0),
+            ("std_msgs/msg/UInt16", &[0x01, 0x02], 513.0),
+            ("std_msgs/msg/Int32", &[0xff; 4], -1.0),
+            ("std_msgs/msg/UInt32", &[0xff; 4], 4_294_967_295.0),
+            ("std_msgs/msg/Int64", &[0xff; 8], -1.0),
+            ("std_msgs/msg/Float32", &[0, 0, 0xc0, 0x3f], 1.5),
+            ("std_msgs/Float64", &[0, 0, 0, 0, 0, 0, 0xf8, 0x3f], 1.5),
+        ];
+        for (name, bytes, expected) in values {
+            let Some(Content::Number(number)) = Content::of_type(name) else { panic!("{name}") };
+            let data = [&[0, 1, 0, 0], bytes].concat();
+            let mut fields = Fields::new(Encoding::Cdr, &data).unwrap();
+            assert_eq!(fields.number(number), Ok(expected), "{name}");
+        }
+        assert_eq!(Content::of_type("std_msgs/msg/String"), None);
+        assert_eq!(Content::of_type("my_msgs/msg/JointState"), None);
+        assert_eq!(Content::of_type(""), None);
+    }
+}

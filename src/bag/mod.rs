@@ -1,5 +1,5 @@
-//! Bags: MCAP files, and the folders that rosbag2 writes, in MCAP or SQLite, split or not, compressed as
-//! files or message by message.
+//! Bags: MCAP files; the folders that rosbag2 writes, in MCAP or SQLite, split or not, compressed as files or
+//! message by message; and the bags of ROS 1.
 //!
 //! Only joint states and the topics of grippers are read; what else a bag holds is not even decompressed
 //! where the bag has an index. A folder is read by its files: `metadata.yaml` may be missing. What is
@@ -7,6 +7,7 @@
 
 mod mcap_file;
 mod message;
+mod ros1_file;
 mod sqlite;
 
 use std::fs::{self, File};
@@ -114,7 +115,7 @@ impl Bag {
         let mut found = Vec::new();
         if path.is_dir() {
             collect(path, LEVELS, &mut found)?;
-        } else if is_storage(path) {
+        } else if kind(path).is_some() {
             found.push(Self::of_file(path));
         }
         Ok(found)
@@ -213,13 +214,14 @@ impl Reading<'_, '_> {
 
 /// Reads a file; within, what went wrong with its content.
 fn read_file(path: &Path, reading: &mut Reading<'_, '_>) -> Result<Result<(), String>, BagError> {
+    let (kind, compressed) = kind(path).expect("found by its name");
     let open = |source| BagError::Io { path: path.into(), source };
     let mut file = File::open(path).map_err(open)?;
-    let (kind, compressed) = kind(path);
     if !compressed {
         return Ok(match kind {
             Kind::Mcap => mcap_file::read(&mut file, reading).map_err(|e| e.to_string()),
             Kind::Sqlite => sqlite::read(path, reading).map_err(|e| e.to_string()),
+            Kind::Ros1 => ros1_file::read(&mut file, reading).map_err(|e| e.to_string()),
         });
     }
     let mut plain = tempfile::NamedTempFile::new().map_err(open)?;
@@ -238,6 +240,7 @@ fn read_file(path: &Path, reading: &mut Reading<'_, '_>) -> Result<Result<(), St
     let read = match kind {
         Kind::Mcap => mcap_file::read(plain.as_file_mut(), reading).map_err(|e| e.to_string()),
         Kind::Sqlite => sqlite::read(plain.path(), reading).map_err(|e| e.to_string()),
+        Kind::Ros1 => ros1_file::read(plain.as_file_mut(), reading).map_err(|e| e.to_string()),
     };
     Ok(copied.and(read))
 }
@@ -246,21 +249,22 @@ fn read_file(path: &Path, reading: &mut Reading<'_, '_>) -> Result<Result<(), St
 enum Kind {
     Mcap,
     Sqlite,
+    Ros1,
 }
 
-/// How a file is stored, and whether it is compressed as a whole.
-fn kind(path: &Path) -> (Kind, bool) {
+/// How messages are stored in a file of this name, and whether it is compressed as a whole; none where it
+/// stores no messages.
+fn kind(path: &Path) -> Option<(Kind, bool)> {
     let name = name(path);
     let plain = name.strip_suffix(".zstd");
-    let kind = if plain.unwrap_or(name).ends_with(".mcap") { Kind::Mcap } else { Kind::Sqlite };
-    (kind, plain.is_some())
-}
-
-/// Whether a file is one that messages are stored in, by its name.
-fn is_storage(path: &Path) -> bool {
-    let name = name(path);
-    let plain = name.strip_suffix(".zstd").unwrap_or(name);
-    plain.ends_with(".mcap") || plain.ends_with(".db3")
+    let (_, extension) = plain.unwrap_or(name).rsplit_once('.')?;
+    let kind = match extension {
+        "mcap" => Kind::Mcap,
+        "db3" => Kind::Sqlite,
+        "bag" => Kind::Ros1,
+        _ => return None,
+    };
+    Some((kind, plain.is_some()))
 }
 
 fn name(path: &Path) -> &str {
@@ -274,7 +278,7 @@ fn collect(folder: &Path, levels: usize, found: &mut Vec<Bag>) -> Result<(), Bag
         let entry = entry.map_err(io)?.path();
         if entry.is_dir() {
             folders.push(entry);
-        } else if is_storage(&entry) {
+        } else if kind(&entry).is_some() {
             files.push(entry);
         } else {
             has_metadata |= name(&entry) == METADATA;

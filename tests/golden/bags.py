@@ -15,6 +15,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer as McapWriter
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -106,6 +107,21 @@ def mcap(name, store, **options):
     return path
 
 
+def bag(name, compression=None):
+    path = FOLDER / f"{name}.bag"
+    writer = Rosbag1Writer(path)
+    writer.chunk_threshold = 4096
+    if compression:
+        writer.set_compression(compression)
+    with writer:
+        connections = {}
+        for topic, kind, log, data in messages(ros1):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ros1)
+            writer.write(connections[topic], log, data)
+    return path
+
+
 def read(path, store):
     """The joint states and numbers that Python's libraries read, with their log times."""
     states, numbers = [], []
@@ -121,7 +137,7 @@ def read(path, store):
         elif topic == "/gripper":
             numbers.append([log, float(msg.data)])
 
-    if path.is_dir() and (path / "metadata.yaml").exists():
+    if path.suffix == ".bag" or (path / "metadata.yaml").exists():
         with AnyReader([path]) as reader:
             for connection, log, data in reader.messages():
                 take(connection.topic, connection.msgtype, log, data)
@@ -158,6 +174,9 @@ def main():
         (mcap("no_index", ros2, index_types=none, use_statistics=False), ros2),
         (mcap("no_chunks", ros2, use_chunking=False), ros2),
         (mcap("ros1", ros1, compression=CompressionType.ZSTD, chunk_size=4096), ros1),
+        (bag("none"), ros1),
+        (bag("bz2", Rosbag1Writer.CompressionFormat.BZ2), ros1),
+        (bag("lz4", Rosbag1Writer.CompressionFormat.LZ4), ros1),
     ]
     expected = read(*made[0])
     assert len(expected["states"]) == COUNT and len(expected["numbers"]) == COUNT // 10

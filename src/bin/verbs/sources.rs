@@ -63,7 +63,7 @@ fn usage(error: ConfigError) -> UsageError {
 /// Recordings, and which of them to use.
 #[derive(Debug, Default, Args)]
 pub(crate) struct Recordings {
-    /// Bags (.mcap files, folders of rosbag2) and folders of demonstrations in the layout of MIME, or
+    /// Bags (.mcap and .bag files, folders of rosbag2) and folders of demonstrations in the layout of MIME, or
     /// folders of these; for training also a data set that `tcvae simulate arcs` wrote
     #[arg(required = true, value_name = "RECORDINGS")]
     pub(crate) paths: Vec<PathBuf>,
