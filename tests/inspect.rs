@@ -101,7 +101,12 @@ fn what_holds_no_demonstration_is_bad_data_and_what_holds_none_of_use_too() {
     let folder = tempfile::tempdir().unwrap();
     let output = tcvae(&["inspect", ".", "--json"], folder.path());
     assert_eq!(output.status.code(), Some(3));
-    assert!(json(&output)["error_message"].as_str().unwrap().contains("no demonstration here"));
+    assert!(
+        json(&output)["error_message"]
+            .as_str()
+            .unwrap()
+            .contains("no recording in there; a recording is")
+    );
 
     fs::create_dir(folder.path().join("demo")).unwrap();
     fs::write(folder.path().join("demo/joint_angles.txt"), "{}\n").unwrap();

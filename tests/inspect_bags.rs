@@ -126,3 +126,67 @@ fn a_bag_is_left_out_or_accepted_as_the_same_recording_in_the_layout_of_mime() {
     }
     assert!(accepted >= 8, "{accepted}");
 }
+
+#[test]
+fn a_bag_with_several_pours_is_cut_between_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let simulate = ["simulate", "pouring", "--seed", "8", "--count", "10", "-o", "mime"];
+    assert_eq!(tcvae(&simulate, path).status.code(), Some(0));
+    let of_mime = inspected("mime", path);
+    let accepted = of_mime["demonstrations"].as_array().expect("a list");
+    // One arm's, so that the other's hand need not jump from one to the next.
+    let accepted: Vec<_> =
+        accepted.iter().filter(|d| d["accepted"] == true && d["arm"] == "left").collect();
+    assert!(accepted.len() >= 2);
+
+    let channels = RobotConfig::default().channels();
+    let mut together: Option<JointRecording> = None;
+    for one in &accepted {
+        let id = one["id"].as_str().expect("a name");
+        let demonstrations = mime::find(&path.join("mime")).expect("demonstrations");
+        let found = demonstrations.iter().find(|d| d.ends_with(id)).expect("the same");
+        let next = mime::read(found, &channels).expect("readable").recording;
+        match &mut together {
+            None => together = Some(next),
+            Some(all) => append(all, &next),
+        }
+    }
+    write(&together.expect("pours"), &path.join("session.mcap"));
+    let of_bag = inspected("session.mcap", path);
+    let found = of_bag["demonstrations"].as_array().expect("a list");
+    assert_eq!(found.len(), accepted.len(), "{of_bag}");
+    for (number, (found, expected)) in found.iter().zip(&accepted).enumerate() {
+        assert_eq!(found["id"], format!("session.mcap#{}", number + 1));
+        assert_eq!(found["accepted"], true, "{found}");
+        for location in ["pour_location", "source_cup"] {
+            for i in 0..2 {
+                let value = |v: &Value| v["task"][location][i].as_f64().expect("a number");
+                assert!((value(found) - value(expected)).abs() < 1e-6, "{found} {expected}");
+            }
+        }
+    }
+    let output = tcvae(&["inspect", "session.mcap", "--json", "--only", "session.mcap#2"], path);
+    let only: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(only["summary"]["accepted"], 1);
+}
+
+/// Lets a recording go on with another, after two seconds in which the joints move over in proportion.
+fn append(all: &mut JointRecording, next: &JointRecording) {
+    let last = all.positions.last().expect("a frame").clone();
+    let start = all.times_secs.last().expect("a frame") + 0.01;
+    for i in 0..200 {
+        let share = f64::from(i) / 200.0;
+        all.times_secs.push(start + 0.01 * f64::from(i));
+        let between = last.iter().zip(&next.positions[0]).map(|(a, b)| a + share * (b - a));
+        all.positions.push(between.collect());
+        all.grippers
+            .iter_mut()
+            .for_each(|g| g.percent_open.push(*g.percent_open.last().expect("one")));
+    }
+    all.times_secs.extend(next.times_secs.iter().map(|t| start + 2.0 + t));
+    all.positions.extend(next.positions.iter().cloned());
+    for (gripper, next) in all.grippers.iter_mut().zip(&next.grippers) {
+        gripper.percent_open.extend(&next.percent_open);
+    }
+}

@@ -10,6 +10,7 @@ mod message;
 mod ros1_file;
 mod sqlite;
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -101,8 +102,8 @@ struct Reading<'m, 'c> {
     damaged: usize,
     /// What was wrong with the first message that can't be read.
     first_damage: Option<String>,
-    /// Topics with joint states in an encoding that can't be read.
-    unread: Vec<String>,
+    /// Topics that are asked for in an encoding that can't be read.
+    unread: BTreeSet<String>,
 }
 
 impl Bag {
@@ -138,7 +139,7 @@ impl Bag {
             read: 0,
             damaged: 0,
             first_damage: None,
-            unread: Vec::new(),
+            unread: BTreeSet::new(),
         };
         let mut damage = Vec::new();
         for path in &self.files {
@@ -152,6 +153,7 @@ impl Bag {
             }
         }
         let Reading { digest, read, damaged, first_damage, unread, .. } = reading;
+        damage.extend(unread.iter().map(|topic| format!("{topic}; cdr and ros1 are read")));
         if let Some(first) = first_damage {
             damage.push(format!("{damaged} messages can't be read, the first: {first}"));
         }
@@ -160,8 +162,6 @@ impl Bag {
         if recording.times_secs.is_empty() {
             let reason = if !damage.is_empty() {
                 damage.join("; ")
-            } else if !unread.is_empty() {
-                format!("{}; cdr and ros1 are read", unread.join(", "))
             } else if !other_joints.is_empty() {
                 let (others, asked) = (other_joints.join(", "), channels.joints.join(", "));
                 format!("the joints in it are {others}; {asked} are looked for")
@@ -186,7 +186,7 @@ impl Reading<'_, '_> {
             return None;
         }
         let Some(encoding) = Encoding::named(encoding) else {
-            self.unread.push(format!("{name} is encoded as {encoding:?}"));
+            self.unread.insert(format!("{name} is encoded as {encoding:?}"));
             return None;
         };
         Some(Topic { name: name.into(), content, encoding })
@@ -218,16 +218,12 @@ fn read_file(path: &Path, reading: &mut Reading<'_, '_>) -> Result<Result<(), St
     let open = |source| BagError::Io { path: path.into(), source };
     let mut file = File::open(path).map_err(open)?;
     if !compressed {
-        return Ok(match kind {
-            Kind::Mcap => mcap_file::read(&mut file, reading).map_err(|e| e.to_string()),
-            Kind::Sqlite => sqlite::read(path, reading).map_err(|e| e.to_string()),
-            Kind::Ros1 => ros1_file::read(&mut file, reading).map_err(|e| e.to_string()),
-        });
+        return Ok(read_storage(kind, path, &mut file, reading));
     }
     let mut plain = tempfile::NamedTempFile::new().map_err(open)?;
     let most = file.metadata().map_err(open)?.len().saturating_mul(LARGEST_GROWTH);
     let copied = match zstd::Decoder::new(file) {
-        Ok(decoder) => io::copy(&mut decoder.take(most + 1), plain.as_file_mut()),
+        Ok(decoder) => io::copy(&mut decoder.take(most.saturating_add(1)), plain.as_file_mut()),
         Err(e) => Err(e),
     };
     let copied = match copied {
@@ -237,12 +233,22 @@ fn read_file(path: &Path, reading: &mut Reading<'_, '_>) -> Result<Result<(), St
     };
     plain.as_file_mut().rewind().map_err(open)?;
     // What could be decompressed may hold messages all the same.
-    let read = match kind {
-        Kind::Mcap => mcap_file::read(plain.as_file_mut(), reading).map_err(|e| e.to_string()),
-        Kind::Sqlite => sqlite::read(plain.path(), reading).map_err(|e| e.to_string()),
-        Kind::Ros1 => ros1_file::read(plain.as_file_mut(), reading).map_err(|e| e.to_string()),
-    };
+    let plain_path = plain.path().to_owned();
+    let read = read_storage(kind, &plain_path, plain.as_file_mut(), reading);
     Ok(copied.and(read))
+}
+
+fn read_storage(
+    kind: Kind,
+    path: &Path,
+    file: &mut File,
+    reading: &mut Reading<'_, '_>,
+) -> Result<(), String> {
+    match kind {
+        Kind::Mcap => mcap_file::read(file, reading).map_err(|e| e.to_string()),
+        Kind::Sqlite => sqlite::read(path, reading).map_err(|e| e.to_string()),
+        Kind::Ros1 => ros1_file::read(file, reading).map_err(|e| e.to_string()),
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,7 +12,9 @@ use serde::{Deserialize, Serialize};
 
 use super::Demonstration;
 use super::augmentation::Augmentation;
-use super::recording::{ArmRecording, Exclusion, JointRecording, Reason, RobotConfig};
+use super::recording::{
+    ArmRecording, Exclusion, JointRecording, Reason, RecordingRules, RobotConfig,
+};
 use super::task::{Factor, Task, TaskMeasureError, TaskSettingError, Violation};
 use crate::kinematics::Chain;
 use crate::parameters::{Interval, TaskLocation, TaskParameters, TaskSpace};
@@ -44,37 +46,6 @@ pub struct PouringTask {
     pub validity: PourBounds,
     /// How demonstrations are multiplied before training.
     pub augmentation: Augmentation,
-}
-
-/// What a recording must be like to be read as a demonstration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RecordingRules {
-    /// Shorter recordings show nothing.
-    pub min_duration_secs: f64,
-    /// A joint that changes by more than this within `jump_window_secs` is a broken recording.
-    pub jump_rad: f64,
-    /// See `jump_rad`.
-    pub jump_window_secs: f64,
-    /// An open gripper has closed when it is open by less than this.
-    pub closed_below_percent: f64,
-    /// A closed gripper has opened when it is open by more than this.
-    pub open_above_percent: f64,
-    /// Closings and openings that last shorter than this are none.
-    pub min_gripper_secs: f64,
-}
-
-impl Default for RecordingRules {
-    fn default() -> Self {
-        Self {
-            min_duration_secs: 3.0,
-            jump_rad: 1.0,
-            jump_window_secs: 0.2,
-            closed_below_percent: 45.0,
-            open_above_percent: 55.0,
-            min_gripper_secs: 0.2,
-        }
-    }
 }
 
 /// What a motion must be like to be a valid pour. Each bound is that of the simulated
@@ -420,41 +391,14 @@ impl PouringTask {
     /// Frames from a closing of the gripper to the next opening, or to the end.
     fn grasps(&self, arm: &ArmRecording) -> Result<Vec<[usize; 2]>, Exclusion> {
         let rules = &self.recording;
-        let frames = arm.percent_open.len();
-        // Runs of frames in one state of the gripper: [first, end), and whether it is closed.
-        let mut runs: Vec<([usize; 2], bool)> = Vec::new();
-        let threshold = 0.5 * (rules.closed_below_percent + rules.open_above_percent);
-        for (i, &open) in arm.percent_open.iter().enumerate() {
-            let closed = match runs.last() {
-                None => open < threshold,
-                Some((_, true)) => open <= rules.open_above_percent,
-                Some((_, false)) => open < rules.closed_below_percent,
-            };
-            match runs.last_mut() {
-                Some((run, state)) if *state == closed => run[1] = i + 1,
-                _ => runs.push(([i, i + 1], closed)),
-            }
-        }
-        // A state that lasts too short is the one before it going on.
-        let mut steady: Vec<([usize; 2], bool)> = Vec::new();
-        for (run, closed) in runs {
-            let lasts = arm.times_secs[run[1] - 1] - arm.times_secs[run[0]];
-            match steady.last_mut() {
-                Some((before, state)) if *state == closed || lasts < rules.min_gripper_secs => {
-                    before[1] = run[1];
-                }
-                _ => steady.push((run, closed)),
-            }
-        }
+        let holds = rules.holds(&arm.times_secs, &arm.percent_open);
         // A gripper that is closed from the start was not seen to grasp.
-        let grasps: Vec<[usize; 2]> = steady
-            .iter()
-            .filter(|([first, end], closed)| *closed && *first > 0 && end - first >= 2)
-            .map(|(run, _)| *run)
-            .collect();
+        let grasps: Vec<[usize; 2]> =
+            holds.iter().filter(|[first, end]| *first > 0 && end - first >= 2).copied().collect();
         if grasps.is_empty() {
             let smallest = arm.percent_open.iter().copied().fold(f64::INFINITY, f64::min);
-            let what = if steady.first().is_some_and(|(_, closed)| *closed) {
+            let frames = arm.percent_open.len();
+            let what = if holds.first().is_some_and(|[first, _]| *first == 0) {
                 "the gripper is closed from the first frame and never closes again".to_owned()
             } else {
                 format!(

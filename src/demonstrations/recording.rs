@@ -198,6 +198,69 @@ impl RobotConfig {
     }
 }
 
+/// What a recording must be like to be read as a demonstration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordingRules {
+    /// Shorter recordings show nothing.
+    pub min_duration_secs: f64,
+    /// A joint that changes by more than this within `jump_window_secs` is a broken recording.
+    pub jump_rad: f64,
+    /// See `jump_rad`.
+    pub jump_window_secs: f64,
+    /// An open gripper has closed when it is open by less than this.
+    pub closed_below_percent: f64,
+    /// A closed gripper has opened when it is open by more than this.
+    pub open_above_percent: f64,
+    /// Closings and openings that last shorter than this are none.
+    pub min_gripper_secs: f64,
+}
+
+impl Default for RecordingRules {
+    fn default() -> Self {
+        Self {
+            min_duration_secs: 3.0,
+            jump_rad: 1.0,
+            jump_window_secs: 0.2,
+            closed_below_percent: 45.0,
+            open_above_percent: 55.0,
+            min_gripper_secs: 0.2,
+        }
+    }
+}
+
+impl RecordingRules {
+    /// When a gripper is closed: from which frame, and before which. What lasts too short is what was
+    /// before going on.
+    pub(super) fn holds(&self, times_secs: &[f64], percent_open: &[f64]) -> Vec<[usize; 2]> {
+        // Runs of frames in one state of the gripper: [first, end), and whether it is closed.
+        let mut runs: Vec<([usize; 2], bool)> = Vec::new();
+        let threshold = 0.5 * (self.closed_below_percent + self.open_above_percent);
+        for (i, &open) in percent_open.iter().enumerate() {
+            let closed = match runs.last() {
+                None => open < threshold,
+                Some((_, true)) => open <= self.open_above_percent,
+                Some((_, false)) => open < self.closed_below_percent,
+            };
+            match runs.last_mut() {
+                Some((run, state)) if *state == closed => run[1] = i + 1,
+                _ => runs.push(([i, i + 1], closed)),
+            }
+        }
+        let mut steady: Vec<([usize; 2], bool)> = Vec::new();
+        for (run, closed) in runs {
+            let lasts = times_secs[run[1] - 1] - times_secs[run[0]];
+            match steady.last_mut() {
+                Some((before, state)) if *state == closed || lasts < self.min_gripper_secs => {
+                    before[1] = run[1];
+                }
+                _ => steady.push((run, closed)),
+            }
+        }
+        steady.into_iter().filter(|(_, closed)| *closed).map(|(run, _)| run).collect()
+    }
+}
+
 /// What an importer is to read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Channels {
@@ -357,6 +420,67 @@ pub struct Jump {
 }
 
 impl JointRecording {
+    /// The demonstrations of one that went on recording: cut amid each time that all grippers are open
+    /// after one held something and before one does again. Each begins at time 0; of several, the ids
+    /// are numbered from 1. A gripper that never opens, or never closes, holds nothing.
+    pub fn cut(self, rules: &RecordingRules) -> Vec<Self> {
+        let frames = self.times_secs.len();
+        let mut held = vec![false; frames];
+        // The first frame that is after something was held.
+        let mut after_first = frames;
+        for gripper in &self.grippers {
+            for [first, end] in rules.holds(&self.times_secs, &gripper.percent_open) {
+                if end - first == frames {
+                    continue;
+                }
+                held[first..end].fill(true);
+                // What is closed from the start was not seen to grasp.
+                if first > 0 {
+                    after_first = after_first.min(end);
+                }
+            }
+        }
+        let mut cuts = Vec::new();
+        let mut open_from = None;
+        for (frame, held) in held.into_iter().enumerate().skip(after_first) {
+            match (held, open_from) {
+                (false, None) => open_from = Some(frame),
+                (true, Some(from)) => {
+                    cuts.push((from + frame) / 2);
+                    open_from = None;
+                }
+                _ => {}
+            }
+        }
+        if cuts.is_empty() {
+            return vec![self];
+        }
+        cuts.push(frames);
+        let mut from = 0;
+        let piece = |(number, to): (usize, usize)| {
+            let range = from..to;
+            from = to;
+            Self {
+                id: format!("{}#{}", self.id, number + 1),
+                times_secs: self.times_secs[range.clone()]
+                    .iter()
+                    .map(|t| t - self.times_secs[range.start])
+                    .collect(),
+                joint_names: self.joint_names.clone(),
+                positions: self.positions[range.clone()].to_vec(),
+                grippers: self
+                    .grippers
+                    .iter()
+                    .map(|g| GripperRecording {
+                        name: g.name.clone(),
+                        percent_open: g.percent_open[range.clone()].to_vec(),
+                    })
+                    .collect(),
+            }
+        };
+        cuts.into_iter().enumerate().map(piece).collect()
+    }
+
     /// The largest change of any joint within `window_secs`; none for an empty recording.
     pub fn largest_jump(&self, window_secs: f64) -> Option<Jump> {
         let mut largest: Option<Jump> = None;
@@ -409,6 +533,61 @@ mod tests {
         let spike = (0..100).map(|i| if i == 50 { 1.3 } else { 0.0 });
         let jump = recording(spike).largest_jump(0.2).unwrap();
         assert_eq!((jump.change_rad, jump.at_secs), (1.3, 0.5));
+    }
+
+    /// A recording of grippers at 10 Hz: `o` open, `c` closed.
+    fn grippers(states: &[&str]) -> JointRecording {
+        let percent = |state: char| if state == 'o' { 100.0 } else { 0.0 };
+        let gripper = |(i, states): (usize, &&str)| GripperRecording {
+            name: format!("g{i}"),
+            percent_open: states.chars().map(percent).collect(),
+        };
+        let frames = states[0].len();
+        JointRecording {
+            times_secs: (0..frames).map(|i| 5.0 + 0.1 * i as f64).collect(),
+            positions: (0..frames).map(|i| vec![i as f64]).collect(),
+            grippers: states.iter().enumerate().map(gripper).collect(),
+            ..recording([])
+        }
+    }
+
+    /// The first frames of the pieces.
+    fn cut(states: &[&str]) -> Vec<usize> {
+        let pieces = grippers(states).cut(&RecordingRules::default());
+        let together: usize = pieces.iter().map(|piece| piece.positions.len()).sum();
+        assert_eq!(together, states[0].len());
+        assert!(pieces.iter().all(|p| p.grippers[0].percent_open.len() == p.times_secs.len()));
+        pieces.iter().map(|piece| piece.positions[0][0] as usize).collect()
+    }
+
+    #[test]
+    fn a_recording_is_cut_where_all_grippers_are_open_between_two_grasps() {
+        assert_eq!(cut(&["oooccccooooooccccooo"]), [0, 10]);
+        assert_eq!(cut(&["oooccccooooooccccoooocccccoooo"]), [0, 10, 19]);
+        // Another holds on meanwhile, until it opens, too.
+        assert_eq!(cut(&["oooccccooooooccccooo", "ooooocccccccccoooooo"]), [0]);
+        assert_eq!(cut(&["oooccccooooooccccooo", "ooooocccccoooooooooo"]), [0, 11]);
+        // One that never moves says nothing.
+        assert_eq!(cut(&["oooccccooooooccccooo", "cccccccccccccccccccc"]), [0, 10]);
+    }
+
+    #[test]
+    fn one_grasp_is_one_demonstration() {
+        for states in ["oooccccooo", "oooccccccc", "oooooooooo", "cccccccccc", "ccccoooccc"] {
+            assert_eq!(cut(&[states]), [0], "{states}");
+        }
+        // A flicker is no grasp.
+        assert_eq!(cut(&["ooocccccoccccccooo"]), [0]);
+        let whole = grippers(&["ooocccooo"]);
+        assert_eq!(whole.clone().cut(&RecordingRules::default()), [whole]);
+    }
+
+    #[test]
+    fn pieces_are_numbered_and_begin_at_0() {
+        let pieces = grippers(&["oooccccooooooccccooo"]).cut(&RecordingRules::default());
+        assert_eq!([&pieces[0].id, &pieces[1].id], ["r#1", "r#2"]);
+        assert_eq!(pieces[1].times_secs[0], 0.0);
+        assert!((pieces[1].times_secs[1] - 0.1).abs() < 1e-9);
     }
 
     #[test]

@@ -3,10 +3,18 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use anyhow::ensure;
 #[cfg(feature = "bag")]
 use tcvae::bag::{Bag, BagRecording};
 use tcvae::demonstrations::recording::{Channels, JointRecording};
 use tcvae::mime::{self, MimeError, MimeRecording};
+
+/// What a recording is, for who gave none.
+#[cfg(feature = "bag")]
+const KINDS: &str = "a recording is a bag (.mcap, .db3, .bag, or a folder that rosbag2 wrote) or a folder with \
+                     joint_angles.txt, as MIME has them";
+#[cfg(not(feature = "bag"))]
+const KINDS: &str = "a recording is a folder with joint_angles.txt, as MIME has them";
 
 /// Where a recording is.
 #[derive(Debug)]
@@ -41,12 +49,16 @@ impl Recorded {
         };
         #[cfg(not(feature = "bag"))]
         let mut found = Vec::new();
-        if path.is_dir() || found.is_empty() {
-            match mime::find(path) {
-                Ok(folders) => found.extend(folders.into_iter().map(Self::Mime)),
-                Err(MimeError::Empty { .. }) if !found.is_empty() => {}
-                Err(e) => return Err(e.into()),
+        if path.is_file() {
+            ensure!(!found.is_empty(), "{}: no recording; {KINDS}", path.display());
+            return Ok(found);
+        }
+        match mime::find(path) {
+            Ok(folders) => found.extend(folders.into_iter().map(Self::Mime)),
+            Err(MimeError::Empty { .. }) => {
+                ensure!(!found.is_empty(), "{}: no recording in there; {KINDS}", path.display());
             }
+            Err(e) => return Err(e.into()),
         }
         Ok(found)
     }
@@ -58,6 +70,11 @@ impl Recorded {
             #[cfg(feature = "bag")]
             Self::Bag(bag) => &bag.path,
         }
+    }
+
+    /// Whether it may hold several demonstrations; in the layout of MIME each has its folder.
+    pub(crate) fn may_hold_several(&self) -> bool {
+        !matches!(self, Self::Mime(_))
     }
 
     /// Whether a file of this name lies beside it.

@@ -15,7 +15,7 @@ use tcvae::artifact::DataSource;
 use tcvae::config::{self, ConfigError, LoadedRobot};
 use tcvae::demonstrations::augmentation::AugmentationReport;
 use tcvae::demonstrations::pouring::{PouringTask, Segment};
-use tcvae::demonstrations::recording::{Exclusion, Reason};
+use tcvae::demonstrations::recording::{Exclusion, JointRecording, Reason};
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::kinematics::RobotRecord;
 use tcvae::kinematics::following::{FollowOptions, follow};
@@ -100,6 +100,20 @@ pub(crate) struct Examined {
     pub(crate) outcome: Result<(Segment, Demonstration), Exclusion>,
 }
 
+impl Examined {
+    fn unreadable(id: String, reason: String) -> Self {
+        Self {
+            id,
+            duration_secs: 0.0,
+            rate_hz: 0.0,
+            skipped: 0,
+            damage: Vec::new(),
+            digest: String::new(),
+            outcome: Err(Exclusion::new(Reason::Unreadable, reason)),
+        }
+    }
+}
+
 /// Recordings that were looked at, with what they were looked at for.
 #[derive(Debug)]
 pub(crate) struct Examination {
@@ -131,31 +145,36 @@ impl Recordings {
             found.extend(Recorded::find(path)?);
         }
         let synthetic = found.iter().any(|r| r.has_beside(super::simulate::TRUTH_FILE));
-        let ids = ids(&found);
-        let user = self.left_out_by_user(&ids)?;
         let channels = robot.config.channels();
-        let examine = |((recorded, id), user): ((&Recorded, String), bool)| {
-            let (mut duration_secs, mut rate_hz, mut skipped) = (0.0, 0.0, 0);
-            let (mut damage, mut digest) = (Vec::new(), String::new());
-            let outcome = match recorded.read(&channels) {
-                Err(reason) => Err(Exclusion::new(Reason::Unreadable, reason)),
-                Ok(mut read) => {
-                    read.recording.id.clone_from(&id);
-                    duration_secs = read.recording.duration_secs();
-                    rate_hz = read.recording.rate_hz();
-                    (skipped, damage, digest) = (read.skipped, read.damage, read.digest);
-                    task.demonstration(&read.recording, &robot.config, &robot.chain)
-                }
+        let examine = |(recorded, id): (&Recorded, String)| {
+            let mut read = match recorded.read(&channels) {
+                Ok(read) => read,
+                Err(reason) => return vec![Examined::unreadable(id, reason)],
             };
-            let outcome = if user {
-                Err(Exclusion::new(Reason::User, "left out on the command line"))
-            } else {
-                outcome
+            read.recording.id = id;
+            let pieces = match recorded.may_hold_several() {
+                true => read.recording.cut(&task.recording),
+                false => vec![read.recording],
             };
-            Examined { id, duration_secs, rate_hz, skipped, damage, digest, outcome }
+            let examine = |(number, piece): (usize, JointRecording)| Examined {
+                duration_secs: piece.duration_secs(),
+                rate_hz: piece.rate_hz(),
+                // Told once, where it is not known which piece lacks it.
+                skipped: if number == 0 { read.skipped } else { 0 },
+                damage: read.damage.clone(),
+                digest: read.digest.clone(),
+                outcome: task.demonstration(&piece, &robot.config, &robot.chain),
+                id: piece.id,
+            };
+            pieces.into_iter().enumerate().map(examine).collect()
         };
-        let work: Vec<_> = found.iter().zip(ids).zip(user).collect();
-        let recordings = work.into_par_iter().map(examine).collect();
+        let ids = ids(&found);
+        let work: Vec<_> = found.iter().zip(ids).collect();
+        let mut recordings: Vec<Examined> = work.into_par_iter().flat_map(examine).collect();
+        for number in self.left_out_by_user(&recordings)? {
+            let reason = "left out on the command line";
+            recordings[number].outcome = Err(Exclusion::new(Reason::User, reason));
+        }
         Ok(Examination { robot, task, recordings, synthetic })
     }
 
@@ -207,23 +226,23 @@ impl Recordings {
         }
     }
 
-    /// Whether each recording is left out by `--only` or `--exclude`.
-    fn left_out_by_user(&self, ids: &[String]) -> anyhow::Result<Vec<bool>> {
+    /// Which recordings are left out by `--only` or `--exclude`.
+    fn left_out_by_user(&self, recordings: &[Examined]) -> Result<Vec<usize>, UsageError> {
         let place = |name: &String| {
-            let by_id = ids.iter().position(|id| id == name);
+            let by_id = recordings.iter().position(|recording| recording.id == *name);
             let by_number = || {
                 let number: usize = name.parse().ok()?;
-                (1..=ids.len()).contains(&number).then(|| number - 1)
+                (1..=recordings.len()).contains(&number).then(|| number - 1)
             };
             by_id.or_else(by_number).ok_or_else(|| {
-                let count = ids.len();
+                let count = recordings.len();
                 UsageError(format!("no demonstration {name:?}; there are {count}, counted from 1"))
             })
         };
         let listed = |names: &[String]| names.iter().map(place).collect::<Result<HashSet<_>, _>>();
         let (only, exclude) = (listed(&self.only)?, listed(&self.exclude)?);
-        let out = |i: usize| exclude.contains(&i) || !(only.is_empty() || only.contains(&i));
-        Ok((0..ids.len()).map(out).collect())
+        let out = |i: &usize| exclude.contains(i) || !(only.is_empty() || only.contains(i));
+        Ok((0..recordings.len()).filter(out).collect())
     }
 }
 
