@@ -342,6 +342,7 @@ mod tests {
     fn the_shipped_sweeps_are_ones() {
         for (text, runs) in [
             (include_str!("../../config/sweep-arcs.toml"), 30),
+            (include_str!("../../config/sweep-arcs-literal.toml"), 6),
             (include_str!("../../config/sweep-arcs-full.toml"), 15),
             (include_str!("../../config/sweep-pouring.toml"), 18),
             (include_str!("../../config/results-arcs.toml"), 30),
