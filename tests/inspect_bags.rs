@@ -190,3 +190,18 @@ fn append(all: &mut JointRecording, next: &JointRecording) {
         gripper.percent_open.extend(&next.percent_open);
     }
 }
+
+#[cfg(unix)]
+#[test]
+fn what_links_lead_to_again_is_one_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("bags")).expect("a folder");
+    fs::write(path.join("bags/empty.mcap"), "").expect("a file");
+    std::os::unix::fs::symlink(".", path.join("bags/again")).expect("a link");
+    let output = tcvae(&["inspect", "bags", "bags/empty.mcap", "--json"], path);
+    let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(found["summary"]["recordings"], 1, "{found}");
+    assert_eq!(found["demonstrations"][0]["id"], "empty.mcap");
+    assert_eq!(found["demonstrations"][0]["reason"], "unreadable");
+}

@@ -77,10 +77,14 @@ impl Recorded {
         !matches!(self, Self::Mime(_))
     }
 
+    /// Where that is, whatever links lead there.
+    pub(crate) fn place(&self) -> PathBuf {
+        fs::canonicalize(self.path()).unwrap_or_else(|_| self.path().to_owned())
+    }
+
     /// Whether a file of this name lies beside it.
     pub(crate) fn has_beside(&self, file: &str) -> bool {
-        let path = fs::canonicalize(self.path()).unwrap_or_else(|_| self.path().to_owned());
-        path.parent().is_some_and(|folder| folder.join(file).is_file())
+        self.place().parent().is_some_and(|folder| folder.join(file).is_file())
     }
 
     /// Reads it; what can't be read is told as a reason to leave it out.

@@ -144,6 +144,9 @@ impl Recordings {
         for path in &self.paths {
             found.extend(Recorded::find(path)?);
         }
+        // A link, or a path given twice, leads to what was found already.
+        let mut seen = HashSet::new();
+        found.retain(|recorded| seen.insert(recorded.place()));
         let synthetic = found.iter().any(|r| r.has_beside(super::simulate::TRUTH_FILE));
         let channels = robot.config.channels();
         let examine = |(recorded, id): (&Recorded, String)| {
