@@ -205,3 +205,20 @@ fn what_links_lead_to_again_is_one_recording() {
     assert_eq!(found["demonstrations"][0]["id"], "empty.mcap");
     assert_eq!(found["demonstrations"][0]["reason"], "unreadable");
 }
+
+#[test]
+fn a_gripper_that_is_open_where_it_is_closed_is_wrong_usage() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    fs::write(path.join("empty.mcap"), "").expect("a file");
+    let shipped = include_str!("../config/robots/baxter.toml");
+    for open in ["0.0", "nan"] {
+        let robot = shipped.replacen("open = 0.0208", &format!("open = {open}"), 1);
+        assert_ne!(robot, shipped);
+        fs::write(path.join("robot.toml"), robot).expect("a file");
+        let output = tcvae(&["inspect", "empty.mcap", "--robot", "robot.toml"], path);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        let told = String::from_utf8(output.stderr).expect("text");
+        assert!(told.contains("gripper_source is closed at 0 and open at"), "{told}");
+    }
+}

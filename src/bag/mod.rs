@@ -27,6 +27,9 @@ const LARGEST_RECORD: usize = 256 << 20;
 /// How much larger than the file what it decompresses to may be.
 const LARGEST_GROWTH: u64 = 200;
 
+/// Share of the frames that may lack a joint, at either end, before it is told as damage.
+const INCOMPLETE_SHARE: f64 = 0.05;
+
 /// What rosbag2 writes beside its files.
 const METADATA: &str = "metadata.yaml";
 
@@ -157,7 +160,7 @@ impl Bag {
         if let Some(first) = first_damage {
             damage.push(format!("{damaged} messages can't be read, the first: {first}"));
         }
-        let Assembled { recording, other_joints, not_finite, doubled } =
+        let Assembled { recording, other_joints, not_finite, doubled, incomplete } =
             messages.assemble(name(&self.path));
         if recording.times_secs.is_empty() {
             let reason = if !damage.is_empty() {
@@ -170,8 +173,15 @@ impl Bag {
             };
             return Err(BagError::NoJointStates { reason });
         }
+        let frames = recording.times_secs.len() + incomplete;
+        if incomplete as f64 > INCOMPLETE_SHARE * frames as f64 {
+            damage.push(format!(
+                "{incomplete} of {frames} frames are left out, as some joint is heard of later than \
+                 others or no more"
+            ));
+        }
         let digest = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        let skipped = damaged + not_finite + doubled;
+        let skipped = damaged + not_finite + doubled + incomplete;
         Ok(BagRecording { recording, messages: read, skipped, damage, digest })
     }
 }

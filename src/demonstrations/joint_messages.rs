@@ -59,6 +59,8 @@ pub struct Assembled {
     pub not_finite: usize,
     /// Frames at a time that an earlier one has.
     pub doubled: usize,
+    /// Frames before all joints were heard of first, or after one was last.
+    pub incomplete: usize,
 }
 
 impl<'a> JointMessages<'a> {
@@ -152,8 +154,10 @@ impl<'a> JointMessages<'a> {
             joint_names: joints.iter().map(|(name, _)| (*name).clone()).collect(),
         };
         let doubled = most.map_or(0, |(_, series)| series.doubled);
+        let incomplete = most.map_or(0, |(_, series)| series.nanos.len() - frames.len());
         let other_joints = self.other_joints.iter().cloned().collect();
-        Assembled { recording, other_joints, not_finite: self.not_finite, doubled }
+        let not_finite = self.not_finite;
+        Assembled { recording, other_joints, not_finite, doubled, incomplete }
     }
 }
 
@@ -292,14 +296,15 @@ mod tests {
             let names = names(&["b", "finger", "a", "other"]);
             messages.joint_states("/joint_states", at(10 * i, None), &names, &positions);
         }
-        let Assembled { recording, other_joints, not_finite, doubled } = messages.assemble("one");
+        let Assembled { recording, other_joints, not_finite, doubled, incomplete } =
+            messages.assemble("one");
         assert_eq!(other_joints, ["finger", "other"]);
         assert_eq!(recording.id, "one");
         assert_eq!(recording.joint_names, ["a", "b"]);
         assert_eq!(recording.positions, [[10.0, 0.0], [11.0, 1.0], [12.0, 2.0]]);
         close(&recording.times_secs, &[0.0, 0.01, 0.02]);
         close(&recording.grippers[0].percent_open, &[50.0; 3]);
-        assert_eq!((not_finite, doubled), (0, 0));
+        assert_eq!((not_finite, doubled, incomplete), (0, 0, 0));
     }
 
     #[test]
@@ -354,8 +359,9 @@ mod tests {
         messages.gripper("/hand", at(42, None), 0.05);
         messages.gripper("/hand", at(61, None), 0.01);
         messages.gripper("/foot", at(62, None), 0.05);
-        let recording = messages.assemble("one").recording;
+        let Assembled { recording, incomplete, .. } = messages.assemble("one");
         // From 20 to 90 ms both are known.
+        assert_eq!(incomplete, 3);
         let b: Vec<f64> = recording.positions.iter().map(|frame| frame[1]).collect();
         close(&b, &[0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5]);
         let hand = &recording.grippers[0].percent_open;

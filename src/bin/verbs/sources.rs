@@ -15,7 +15,7 @@ use tcvae::artifact::DataSource;
 use tcvae::config::{self, ConfigError, LoadedRobot};
 use tcvae::demonstrations::augmentation::AugmentationReport;
 use tcvae::demonstrations::pouring::{PouringTask, Segment};
-use tcvae::demonstrations::recording::{Exclusion, JointRecording, Reason};
+use tcvae::demonstrations::recording::{Exclusion, GripperSource, JointRecording, Reason};
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::kinematics::RobotRecord;
 use tcvae::kinematics::following::{FollowOptions, follow};
@@ -36,6 +36,15 @@ pub(crate) fn load_robot(path: Option<&Path>) -> anyhow::Result<LoadedRobot> {
             return Err(UsageError(format!(
                 "robot {robot}: the {arm} arm has {joints} joints and {signs} mirror_signs; {dof} \
                  of each are needed"
+            ))
+            .into());
+        }
+        let GripperSource { closed, open, .. } = arm.gripper_source;
+        if !(closed.is_finite() && open.is_finite() && closed != open) {
+            let (robot, arm) = (&robot.config.name, &arm.name);
+            return Err(UsageError(format!(
+                "robot {robot}: the {arm} arm's gripper_source is closed at {closed} and open at \
+                 {open}; two finite values that differ are needed"
             ))
             .into());
         }
