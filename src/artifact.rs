@@ -5,7 +5,7 @@
 //! key, `tcvae`, with a JSON document, which also holds all of a classical primitive:
 //!
 //! ```json
-//! { "kind": "model", "format_version": 2,
+//! { "kind": "model", "format_version": 3,
 //!   "tensors_sha256": "…", "document_sha256": "…",
 //!   "document": { "learned": { "tc-vae": { … } }, … } }
 //! ```
@@ -40,7 +40,7 @@ use crate::serving::{Familiarity, ServedModel};
 use crate::training::{EpochReport, LatentStatistics, TrainingConfig};
 
 /// The format that this program reads and writes.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
 
 /// The metadata key of the document.
 const KEY: &str = "tcvae";
@@ -555,7 +555,7 @@ mod tests {
 
     use super::*;
     use crate::demonstrations::arcs::{ArcStart, ArcsTask};
-    use crate::demonstrations::pouring::PouringTask;
+    use crate::demonstrations::pouring;
     use crate::model::{Layout, NetworkConfig};
     use crate::parameters::TaskParameters;
     use crate::primitive::MovementPrimitive;
@@ -683,10 +683,10 @@ mod tests {
 
     #[test]
     fn a_task_that_can_not_be_is_refused_by_its_setting() {
-        let mut task = PouringTask::default();
+        let mut task = pouring::task();
         task.augmentation.max_stretch = 1.5;
         let Artifact { mut document, tensors } = artifact();
-        document.task = TaskConfig::Pouring(task);
+        document.task = TaskConfig::Manipulation(task);
         let error = Artifact::from_bytes(&encode(&tensors, "model", &document)).unwrap_err();
         assert!(
             error.to_string().contains("the task's augmentation.max_stretch is 1.5"),
@@ -747,13 +747,13 @@ mod tests {
         for (version, remedy) in [(9, "update it"), (1, "train again")] {
             let bytes = edited(
                 &artifact().to_bytes(),
-                r#""format_version":2"#,
+                r#""format_version":3"#,
                 &format!(r#""format_version":{version}"#),
             );
             assert_eq!(
                 Artifact::from_bytes(&bytes).unwrap_err().to_string(),
                 format!(
-                    "the file has format version {version}; this program reads version 2; {remedy}"
+                    "the file has format version {version}; this program reads version 3; {remedy}"
                 )
             );
         }

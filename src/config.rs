@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
+use crate::demonstrations::TaskConfig;
 use crate::demonstrations::recording::RobotConfig;
 use crate::kinematics::Chain;
 
@@ -43,6 +44,54 @@ pub enum ConfigError {
 /// A file that can't be read, or that is not such a configuration.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, ConfigError> {
     toml::from_str(&read_text(path)?).map_err(|e| content(path, &e.to_string()))
+}
+
+/// The key with which a task's file names another that it changes.
+const BASED_ON: &str = "based_on";
+/// Files that may be based on each other in a row.
+const MOST_BASES: usize = 8;
+
+/// Reads a task such as `config/tasks/pour.toml`. One that says `based_on = "pour.toml"` is that file's,
+/// relative to its own folder, but for the keys that it has itself; of a table it need not have all keys.
+///
+/// # Errors
+/// A file that can't be read or is no task; files that are based on each other in a circle, or too deep.
+pub fn task(path: &Path) -> Result<TaskConfig, ConfigError> {
+    let (mut own, mut at) = (read_table(path)?, path.to_path_buf());
+    let mut bases = 0;
+    while let Some(base) = own.remove(BASED_ON) {
+        let toml::Value::String(base) = base else {
+            return Err(content(
+                &at,
+                &format!("{BASED_ON} is {base}; the name of a file is needed"),
+            ));
+        };
+        if bases == MOST_BASES {
+            let detail =
+                format!("{bases} files are based on each other; at most {MOST_BASES} can be");
+            return Err(content(path, &detail));
+        }
+        bases += 1;
+        at = at.parent().unwrap_or(Path::new("")).join(base);
+        own = merged(read_table(&at)?, own);
+    }
+    own.try_into().map_err(|e: toml::de::Error| content(path, &e.to_string()))
+}
+
+fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {
+    read(path)
+}
+
+/// A table with the keys of another in place of its own.
+fn merged(mut base: toml::Table, own: toml::Table) -> toml::Table {
+    for (key, value) in own {
+        let value = match (base.remove(&key), value) {
+            (Some(toml::Value::Table(base)), toml::Value::Table(own)) => merged(base, own).into(),
+            (_, own) => own,
+        };
+        base.insert(key, value);
+    }
+    base
 }
 
 /// A robot: its configuration, its arm, and the digest of its description.
@@ -129,8 +178,48 @@ mod tests {
     #[test]
     fn a_description_with_other_joints_than_the_arms_is_refused() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        fs::write(file.path(), "tip_link = \"right_gripper\"\n").unwrap();
+        let text = include_str!("../config/robots/baxter.toml")
+            .replace("tip_link = \"left_gripper\"", "tip_link = \"right_gripper\"");
+        fs::write(file.path(), text).unwrap();
         let error = robot(Some(file.path()), chain).unwrap_err().to_string();
         assert!(error.contains("moves right_s0") && error.contains("as left_s0"), "{error}");
+    }
+
+    #[test]
+    fn a_robot_with_one_arm_has_no_other() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots/panda.toml");
+        let panda = robot(Some(&path), chain).unwrap();
+        assert_eq!((panda.config.arms().count(), panda.chain.dof()), (1, 7));
+    }
+
+    #[test]
+    fn a_task_that_is_based_on_another_says_what_is_different() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        let tasks = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/tasks");
+        let base = tasks.join("pour.toml").display().to_string();
+        write("a.toml", &format!("based_on = {base:?}\n[validity]\nmax_tilt_deg = 100.0\n"));
+        write("b.toml", "based_on = \"a.toml\"\nname = \"careful\"\n");
+        let mut expected = crate::demonstrations::pouring::task();
+        expected.validity.max_tilt_deg = Some(100.0);
+        expected.name = "careful".into();
+        let found = task(&folder.path().join("b.toml")).unwrap();
+        assert_eq!(found, TaskConfig::Manipulation(expected));
+
+        write("c.toml", "based_on = \"c.toml\"\n");
+        let error = task(&folder.path().join("c.toml")).unwrap_err().to_string();
+        assert!(error.ends_with("8 files are based on each other; at most 8 can be"), "{error}");
+        write("d.toml", "based_on = \"none.toml\"\n");
+        let error = task(&folder.path().join("d.toml")).unwrap_err().to_string();
+        assert!(error.contains("none.toml"), "{error}");
+    }
+
+    #[test]
+    fn the_papers_pouring_differs_in_its_copies_alone() {
+        let tasks = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/tasks");
+        let mut expected = crate::demonstrations::pouring::task();
+        expected.augmentation = crate::demonstrations::augmentation::Augmentation::paper();
+        let found = task(&tasks.join("pour-paper.toml")).unwrap();
+        assert_eq!(found, TaskConfig::Manipulation(expected));
     }
 }

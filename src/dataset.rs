@@ -164,7 +164,7 @@ pub fn save(
         let truth = |(demonstration, arc): (&Demonstration, _)| {
             let factors = task.factors_of(arc).into_iter();
             let factors: serde_json::Map<_, _> =
-                factors.map(|f| (f.name.to_owned(), json!(f.value))).collect();
+                factors.map(|f| (f.name.into_owned(), json!(f.value))).collect();
             let center = demonstration.w.location(0);
             let id = &demonstration.id;
             json!({ "id": id, "expected": "accept", "task": { "center": center }, "factors": factors })

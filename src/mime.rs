@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use crate::demonstrations::recording::{
     Channels, GripperChannel, GripperRecording, JointRecording,
 };
-use crate::demonstrations::simulation::{MIME_JOINTS, RawDemonstration};
+use crate::demonstrations::simulation::RawDemonstration;
 
 /// Frames per second of a MIME recording.
 pub const RATE_HZ: f64 = 100.0;
@@ -225,6 +225,8 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
         joint_names: channels.joints.clone(),
         positions,
         grippers,
+        points: Vec::new(),
+        marks_secs: Vec::new(),
     };
     let digest = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     Ok(MimeRecording { recording, stray_lines, damaged, digest })
@@ -364,9 +366,9 @@ fn aligned(values: &[f64], frames: usize) -> Vec<f64> {
 pub fn write(folder: &Path, demonstration: &RawDemonstration) -> Result<(), MimeError> {
     let RawDemonstration {
         id,
+        joint_names,
         frames,
-        left_gripper,
-        right_gripper,
+        grippers,
         stray_lines,
         cut_lines,
         python_syntax,
@@ -380,7 +382,7 @@ pub fn write(folder: &Path, demonstration: &RawDemonstration) -> Result<(), Mime
             joints.push('\n');
         }
         let start = joints.len();
-        for (j, (name, value)) in MIME_JOINTS.iter().zip(frame).enumerate() {
+        for (j, (name, value)) in joint_names.iter().zip(frame).enumerate() {
             let separator = if j == 0 { "{" } else { ", " };
             let _ = write!(joints, "{separator}{quote}{name}{quote}: {value:.7}");
         }
@@ -406,11 +408,8 @@ pub fn write(folder: &Path, demonstration: &RawDemonstration) -> Result<(), Mime
         |source| MimeError::Io { path, source }
     };
     std::fs::create_dir_all(&folder).map_err(io(&folder))?;
-    for (name, text) in [
-        (JOINTS_FILE, joints),
-        ("left_gripper.txt", gripper(left_gripper)),
-        ("right_gripper.txt", gripper(right_gripper)),
-    ] {
+    let grippers = grippers.iter().map(|(name, values)| (format!("{name}.txt"), gripper(values)));
+    for (name, text) in std::iter::once((JOINTS_FILE.to_owned(), joints)).chain(grippers) {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(io(&path))?;
     }
@@ -429,6 +428,7 @@ mod tests {
             grippers: ["left_gripper", "right_gripper"]
                 .map(|name| GripperChannel { name: name.into(), source: GripperSource::default() })
                 .to_vec(),
+            ..Channels::default()
         }
     }
 

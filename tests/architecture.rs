@@ -116,6 +116,17 @@ fn only_model_and_training_name_burn() {
 }
 
 #[test]
+fn what_models_trains_and_serves_knows_no_action() {
+    for (path, module, code) in library() {
+        if ["model", "training", "serving", "ros"].contains(&module.as_str()) {
+            for line in code {
+                assert!(!line.to_lowercase().contains("pour"), "{}: {line}", path.display());
+            }
+        }
+    }
+}
+
+#[test]
 fn the_core_reads_no_files_sockets_clocks_or_ambient_randomness() {
     let ambient = [
         "std::fs",

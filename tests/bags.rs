@@ -34,7 +34,7 @@ fn channels() -> Channels {
     let source =
         GripperSource { joint: None, topic: Some("/gripper".into()), closed: 0.0, open: 50.0 };
     let gripper = GripperChannel { name: "hand".into(), source };
-    Channels { joints: expected().joints, grippers: vec![gripper] }
+    Channels { joints: expected().joints, grippers: vec![gripper], ..Channels::default() }
 }
 
 fn read(path: &Path) -> BagRecording {

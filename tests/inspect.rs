@@ -1,10 +1,12 @@
 //! `tcvae simulate pouring`, then `tcvae inspect`: the answer is the truth that was planted.
 #![cfg(feature = "train")]
+#![expect(clippy::unwrap_used, reason = "in a test a panic is the report")]
 
 mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
@@ -25,14 +27,19 @@ fn simulated() -> tempfile::TempDir {
     folder
 }
 
-#[test]
-fn every_recording_is_accepted_or_left_out_as_the_truth_says() {
-    let folder = simulated();
-    let output = tcvae(&["inspect", "data", "--json"], folder.path());
+/// Holds what `inspect` says of simulated recordings against the truth beside them; returns how many are
+/// accepted.
+fn holds_against_the_truth(
+    folder: &Path,
+    args: &[&str],
+    action: &str,
+    locations: [&str; 2],
+) -> usize {
+    let output = tcvae(&[&["inspect", "data", "--json"], args].concat(), folder);
     assert_eq!(output.status.code(), Some(0));
     let answer = json(&output);
     let truth: Value =
-        serde_json::from_slice(&fs::read(folder.path().join("data/truth.json")).unwrap()).unwrap();
+        serde_json::from_slice(&fs::read(folder.join("data/truth.json")).unwrap()).unwrap();
     let truth: BTreeMap<_, _> = truth["demonstrations"]
         .as_array()
         .unwrap()
@@ -40,7 +47,7 @@ fn every_recording_is_accepted_or_left_out_as_the_truth_says() {
         .map(|t| (t["id"].as_str().unwrap(), t))
         .collect();
     let demonstrations = answer["demonstrations"].as_array().unwrap();
-    assert_eq!(demonstrations.len(), 40);
+    assert_eq!(demonstrations.len(), truth.len());
     let mut accepted = 0;
     for found in demonstrations {
         let truth = truth[found["id"].as_str().unwrap()];
@@ -54,16 +61,54 @@ fn every_recording_is_accepted_or_left_out_as_the_truth_says() {
         assert_eq!(found["accepted"], true, "{found}");
         assert_eq!((&found["reason"], &found["arm"]), (&Value::Null, &truth["arm"]));
         assert!((found["rate_hz"].as_f64().unwrap() - 100.0).abs() < 1e-6);
-        for location in ["pour_location", "source_cup"] {
+        for location in locations {
             for axis in 0..2 {
                 let value = |v: &Value| v["task"][location][axis].as_f64().unwrap();
                 assert!((value(found) - value(truth)).abs() < 0.005, "{found} {truth}");
             }
         }
+        for (factor, limit) in [("start", 0.1), ("duration", 0.1)] {
+            let factor = format!("{action}_{factor}");
+            let value = |v: &Value| v["factors"][&factor].as_f64().unwrap();
+            assert!((value(found) - value(truth)).abs() < limit, "{factor} {found} {truth}");
+        }
     }
     let summary = &answer["summary"];
     assert_eq!(summary["accepted"], accepted);
-    assert_eq!((&summary["recordings"], &summary["synthetic"]), (&40.into(), &true.into()));
+    assert_eq!(
+        (&summary["recordings"], &summary["synthetic"]),
+        (&truth.len().into(), &true.into())
+    );
+    accepted
+}
+
+#[test]
+fn every_recording_is_accepted_or_left_out_as_the_truth_says() {
+    let folder = simulated();
+    let accepted =
+        holds_against_the_truth(folder.path(), &[], "pour", ["pour_location", "source_cup"]);
+    assert_eq!(accepted, 31);
+}
+
+#[test]
+fn so_are_those_of_another_robot_and_of_another_action() {
+    let config = |file: &str| format!("{}/config/{file}", env!("CARGO_MANIFEST_DIR"));
+    let (panda, pour) = (config("robots/panda.toml"), config("tasks/pour-panda.toml"));
+    let stack = config("tasks/stack.toml");
+    for (what, robot, task, action, locations) in [
+        ("pouring", Some(&panda), &pour, "pour", ["pour_location", "source_cup"]),
+        ("stacking", None, &stack, "stack", ["stack_location", "source_block"]),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let robot: Vec<&str> = robot.iter().flat_map(|robot| ["--robot", robot.as_str()]).collect();
+        // So many that each trap is there.
+        let simulate = ["simulate", what, "--seed", "6", "--count", "200", "-o", "data"];
+        let output = tcvae(&[&simulate[..], &robot].concat(), folder.path());
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let args = [&["--task", task], &robot[..]].concat();
+        let accepted = holds_against_the_truth(folder.path(), &args, action, locations);
+        assert!(accepted > 140, "{what}: {accepted}");
+    }
 }
 
 #[test]
@@ -120,7 +165,7 @@ fn what_holds_no_demonstration_is_bad_data_and_what_holds_none_of_use_too() {
 #[test]
 fn a_task_or_robot_with_an_unknown_key_is_wrong_usage() {
     let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("task.toml"), "task = \"pouring\"\npour_tilt = 60\n").unwrap();
+    fs::write(folder.path().join("task.toml"), "task = \"arcs\"\npour_tilt = 60\n").unwrap();
     let output = tcvae(&["inspect", ".", "--task", "task.toml"], folder.path());
     assert_eq!(output.status.code(), Some(2));
     let message = String::from_utf8(output.stderr).unwrap();

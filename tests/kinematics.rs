@@ -61,6 +61,48 @@ fn assert_same_pose(a: &Isometry3<f64>, b: &Isometry3<f64>, tolerance: f64) {
     assert!(distance < tolerance && angle < 10.0 * tolerance, "{distance} m, {angle} rad");
 }
 
+/// The Panda's pose of the hand's tip from the Denavit-Hartenberg parameters, in Craig's convention, that
+/// its maker publishes: a, d and alpha of each joint, then the flange, the hand's turn and the fingertips.
+fn panda(q: &[f64]) -> Isometry3<f64> {
+    const QUARTER: f64 = std::f64::consts::FRAC_PI_2;
+    let parameters = [
+        (0.0, 0.333, 0.0),
+        (0.0, 0.0, -QUARTER),
+        (0.0, 0.316, QUARTER),
+        (0.0825, 0.0, QUARTER),
+        (-0.0825, 0.384, -QUARTER),
+        (0.0, 0.0, QUARTER),
+        (0.088, 0.0, QUARTER),
+    ];
+    let about = |axis, angle| {
+        Isometry3::from_parts(
+            Translation3::identity(),
+            UnitQuaternion::from_axis_angle(&axis, angle),
+        )
+    };
+    let mut pose = Isometry3::identity();
+    for ((a, d, alpha), theta) in parameters.into_iter().zip(q) {
+        pose *= about(Vector3::x_axis(), alpha)
+            * Translation3::new(a, 0.0, 0.0)
+            * about(Vector3::z_axis(), *theta)
+            * Translation3::new(0.0, 0.0, d);
+    }
+    pose * Translation3::new(0.0, 0.0, 0.107)
+        * about(Vector3::z_axis(), -0.5 * QUARTER)
+        * Translation3::new(0.0, 0.0, 0.1034)
+}
+
+#[test]
+fn the_pandas_description_is_what_its_maker_publishes() {
+    let text = include_str!("../config/panda.urdf");
+    let chain = urdf::chain(text, "panda_link0", "panda_hand_tcp").expect("an arm");
+    let rng = &mut ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..200 {
+        let q = anywhere(&chain, rng);
+        assert_same_pose(&chain.forward(&q), &panda(&q), 1e-9);
+    }
+}
+
 #[test]
 fn the_tip_is_where_pinocchio_puts_it() {
     for golden in golden() {

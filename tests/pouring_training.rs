@@ -58,7 +58,7 @@ fn recordings_become_a_model_file_that_says_all_about_itself() {
     assert_eq!(document.training_demonstrations, 76);
     assert_eq!(artifact.training_tasks().len(), 76);
     assert!((5.0..12.0).contains(&document.duration_secs), "{}", document.duration_secs);
-    let TaskConfig::Pouring(task) = &document.task else { panic!("{:?}", document.task) };
+    let TaskConfig::Manipulation(task) = &document.task else { panic!("{:?}", document.task) };
     assert_eq!(task.augmentation.train_copies, 57);
     let names: Vec<_> = document.task_space.locations().iter().map(|l| &*l.name).collect();
     assert_eq!(names, ["pour_location", "source_cup"]);

@@ -7,9 +7,9 @@ use std::time::Instant;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use tcvae::demonstrations::arcs::{ArcsSimulation, ArcsTask, simulate};
-use tcvae::demonstrations::pouring::PouringTask;
+use tcvae::demonstrations::pouring;
 use tcvae::demonstrations::recording::RobotConfig;
-use tcvae::demonstrations::simulation::PourSimulation;
+use tcvae::demonstrations::simulation::Simulation;
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::evaluation::{PrimitiveEvaluation, Score, evaluate_primitive};
 use tcvae::primitives::{DmpConfig, DmpPrimitive, ProMp, ProMpConfig, TpGmm, TpGmmConfig};
@@ -18,17 +18,17 @@ use tcvae::{MovementPrimitive, mime, urdf};
 
 /// The pours of simulated recordings, as importing finds them.
 fn pours(count: usize, both_sides: bool) -> Splits {
-    let simulation = PourSimulation { count, seed: 20, both_sides, ..PourSimulation::default() };
+    let simulation = Simulation { count, seed: 20, both_sides, ..Simulation::default() };
     let chain = urdf::chain(include_str!("../config/baxter.urdf"), "base", "left_gripper").unwrap();
     let robot = RobotConfig::default();
     let folder = tempfile::tempdir().unwrap();
     let mut accepted = Vec::new();
-    for assignment in simulation.assignments().unwrap() {
-        let simulated = simulation.simulate(&assignment, &chain).unwrap();
+    for assignment in simulation.assignments(&robot).unwrap() {
+        let simulated = simulation.simulate(&assignment, &robot, &chain).unwrap();
         mime::write(folder.path(), &simulated.raw).unwrap();
         let recording = folder.path().join(&assignment.id);
         if let Ok(read) = mime::read(&recording, &robot.channels()) {
-            let imported = PouringTask::default().demonstration(&read.recording, &robot, &chain);
+            let imported = pouring::task().demonstration(&read.recording, &robot, &chain);
             accepted.extend(imported.map(|(_, demonstration)| demonstration));
         }
         std::fs::remove_dir_all(recording).unwrap();
@@ -75,8 +75,8 @@ fn means(scores: &[Score]) -> Vec<f64> {
 #[test]
 fn an_average_of_pours_to_both_sides_pours_nothing() {
     let splits = pours(70, true);
-    let task = PouringTask::default();
-    let (space, config) = (task.task_space(), TaskConfig::Pouring(task));
+    let task = pouring::task();
+    let (space, config) = (task.task_space(), TaskConfig::Manipulation(task));
     let fit = || TpGmm::fit(&TpGmmConfig::default(), &space, &splits.train).unwrap();
     let blended = measured("TP-GMM", &config, &splits, || Box::new(fit()));
     assert!(means(&blended.success)[2] < 0.5);
@@ -86,9 +86,9 @@ fn an_average_of_pours_to_both_sides_pours_nothing() {
 fn on_pours_to_one_side_the_linear_ones_pour_where_they_are_told() {
     let splits = pours(140, false);
     assert!(splits.train.len() > 50 && splits.test.len() > 15, "{}", splits.train.len());
-    let task = PouringTask::default();
+    let task = pouring::task();
     let space = task.task_space();
-    let config = TaskConfig::Pouring(task);
+    let config = TaskConfig::Manipulation(task);
     let train = &splits.train;
 
     let tp_gmm = |config: TpGmmConfig| TpGmm::fit(&config, &space, train).unwrap();

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::rngs::ChaCha8Rng;
 use rand::{Rng, RngExt, SeedableRng};
 use tcvae::demonstrations::Demonstration;
-use tcvae::demonstrations::pouring::PouringTask;
+use tcvae::demonstrations::pouring;
 use tcvae::kinematics::{Chain, RobotRecord};
 use tcvae::parameters::{
     Interval, MannerParameters, MannerSpace, TaskLocation, TaskParameters, TaskSpace,
@@ -98,7 +98,7 @@ fn model(offset_m: f64) -> ServedModel {
         y: Interval { lower: y[0], upper: y[1] },
     };
     let locations = vec![location("pour_location", [0.1, 0.5]), location("source_cup", [0.0, 0.3])];
-    let task = PouringTask::default();
+    let task = pouring::task();
     let primitive = RollPour {
         space: TaskSpace::new("m", locations).unwrap(),
         manner: MannerSpace::unnamed(2, 3.0),
@@ -379,8 +379,8 @@ fn when_no_draw_passes_the_nearest_is_told() {
 fn a_mean_that_fails_is_drawn_anew_but_what_is_set_stays() {
     // The mean lifts the cup by 15 cm; this task wants 16 cm, and h2 lifts by 2 cm a unit.
     let mut strict = model(0.0);
-    let mut task = PouringTask::default();
-    task.validity.lift_m.lower = 0.16;
+    let mut task = pouring::task();
+    task.validity.lift_m.as_mut().unwrap().lower = 0.16;
     strict.task = Box::new(task);
     let mut server = serving(strict);
     let sample = one(&server, &request());

@@ -233,7 +233,11 @@ mod tests {
     fn channels() -> Channels {
         let source = GripperSource { topic: Some("/hand".into()), ..GripperSource::default() };
         let hand = GripperChannel { name: "hand".into(), source };
-        Channels { joints: vec!["a".into(), "bc".into()], grippers: vec![hand] }
+        Channels {
+            joints: vec!["a".into(), "bc".into()],
+            grippers: vec![hand],
+            ..Channels::default()
+        }
     }
 
     /// `{stamp: 3 s 4 ns, frame_id: "x", name: [a, bc], position: [1.5, -2]}` byte by byte, after the

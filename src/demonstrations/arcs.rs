@@ -191,16 +191,16 @@ impl ArcsTask {
     pub fn factors_of(&self, arc: &Arc) -> Vec<Factor> {
         let mut factors = vec![
             Factor {
-                name: "radius",
+                name: "radius".into(),
                 unit: "1",
-                phrase: "radius",
+                phrase: "radius".into(),
                 value: arc.radius,
                 derived: false,
             },
             Factor {
-                name: "span",
+                name: "span".into(),
                 unit: "rad",
-                phrase: "span",
+                phrase: "span".into(),
                 value: arc.span_rad,
                 derived: false,
             },
@@ -209,16 +209,21 @@ impl ArcsTask {
             // The branch is cut opposite to the middle of the data, so that an arc which starts
             // slightly outside it has an angle next to its neighbours'.
             ArcStart::Half => factors.push(Factor {
-                name: "start",
+                name: "start".into(),
                 unit: "rad",
-                phrase: "start angle",
+                phrase: "start angle".into(),
                 value: wrapped(arc.start_rad - FRAC_PI_2) + FRAC_PI_2,
                 derived: false,
             }),
             ArcStart::Full => {
                 let (sin, cos) = arc.start_rad.sin_cos();
-                let factor =
-                    |name, phrase, value| Factor { name, unit: "1", phrase, value, derived: false };
+                let factor = |name: &'static str, phrase: &'static str, value| Factor {
+                    name: name.into(),
+                    unit: "1",
+                    phrase: phrase.into(),
+                    value,
+                    derived: false,
+                };
                 factors.push(factor("start_cos", "cosine of the start angle", cos));
                 factors.push(factor("start_sin", "sine of the start angle", sin));
             }

@@ -1,9 +1,9 @@
-//! More demonstrations from few: the same pours elsewhere.
+//! More demonstrations from few: the same actions elsewhere.
 //!
-//! As the paper does (section 5.2), a copy's pour is shifted by up to 5 cm while its grasp stays,
+//! As the paper does (section 5.2), a copy's action is shifted by up to 5 cm while its start stays,
 //! the weights of its dynamic movement primitive are perturbed a little, and the whole is turned
 //! about the vertical and moved. Its task parameters move along: they are those of the copy's own
-//! motion. What is kept is still a valid pour inside the region of the demonstrations.
+//! motion. What is kept is still a valid motion inside the region of the demonstrations.
 //!
 //! Ours on top, not in the paper: a copy is also a little longer or shorter, higher or lower, and
 //! tilted more or less. Copies of one demonstration that share its manner teach a recognition network
@@ -15,11 +15,11 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
-use super::pouring::PouringTask;
+use super::manipulation::{Action, ManipulationTask};
 use super::task::{Task, TaskSettingError};
 use super::{Demonstration, Splits};
 use crate::alignment::{Alignment, segment_secs};
-use crate::parameters::Interval;
+use crate::parameters::{Interval, TaskParameters};
 use crate::primitives::dmp::{DmpConfig, PoseDmp};
 use crate::trajectory::Motion;
 
@@ -35,17 +35,17 @@ pub struct Augmentation {
     pub max_turn_deg: f64,
     /// Largest move along x and along y.
     pub max_move_m: f64,
-    /// Largest shift of the pour against the grasp.
-    pub max_pour_shift_m: f64,
+    /// Largest shift of the action, and of the end, against the start.
+    pub max_shift_m: f64,
     /// Standard deviation of the noise on the weights of a demonstration's dynamic movement
     /// primitive, as a share of each. 0.004 moves the tip by about 3 mm and turns it by 2 degrees,
     /// as neighbouring weights are large and nearly cancel.
     pub weight_noise: f64,
-    /// Ours: largest change of the times before, during and after the pour, as a share of each.
+    /// Ours: largest change of the times before, during and after the action, as a share of each.
     pub max_stretch: f64,
-    /// Ours: largest change of the turn from the grasp, as a share.
+    /// Ours: largest change of the turn from the start, as a share.
     pub max_turn_change: f64,
-    /// Ours: largest change of the height above the grasp, as a share.
+    /// Ours: largest change of the height above the start, as a share.
     pub max_lift_change: f64,
     /// Ours: largest move up or down of the whole.
     pub max_rise_m: f64,
@@ -63,7 +63,7 @@ impl Default for Augmentation {
             validation_copies: 462,
             max_turn_deg: 30.0,
             max_move_m: 0.15,
-            max_pour_shift_m: 0.05,
+            max_shift_m: 0.05,
             weight_noise: 0.004,
             max_stretch: 0.15,
             max_turn_change: 0.08,
@@ -82,7 +82,7 @@ pub struct AugmentationReport {
     pub made: usize,
     /// Copies that are missing, as no demonstration could be copied any more.
     pub failed: usize,
-    /// Tries that were no valid pours, or outside the region.
+    /// Tries that were no valid motions, or outside the region.
     pub rejected: usize,
 }
 
@@ -103,7 +103,7 @@ impl Augmentation {
         for (name, value, limit, expected) in [
             any("augmentation.max_turn_deg", self.max_turn_deg),
             any("augmentation.max_move_m", self.max_move_m),
-            any("augmentation.max_pour_shift_m", self.max_pour_shift_m),
+            any("augmentation.max_shift_m", self.max_shift_m),
             any("augmentation.max_rise_m", self.max_rise_m),
             any("augmentation.region_margin_m", self.region_margin_m),
             share("augmentation.weight_noise", self.weight_noise),
@@ -123,7 +123,7 @@ impl Augmentation {
     /// recorded. `fits` may refuse a copy, for instance one that the arm can't make.
     pub fn augment<R: Rng + ?Sized>(
         &self,
-        task: &PouringTask,
+        task: &ManipulationTask,
         splits: &mut Splits,
         mut fits: impl FnMut(&Motion, &mut R) -> bool,
         rng: &mut R,
@@ -163,14 +163,14 @@ impl Augmentation {
         report
     }
 
-    /// One random copy; none where it is no valid pour.
+    /// One random copy; none where it is no valid motion.
     fn copy<R: Rng + ?Sized>(
         &self,
         original: &Original<'_>,
         number: usize,
         rng: &mut R,
     ) -> Option<Demonstration> {
-        let Original { task, demonstration, broken, .. } = original;
+        let Original { task, demonstration, broken, off, .. } = original;
         let symmetric = |limit: f64, rng: &mut R| limit * (2.0 * rng.random::<f64>() - 1.0);
         let turn = symmetric(self.max_turn_deg.to_radians(), rng);
         let by = Vector3::new(
@@ -180,7 +180,7 @@ impl Augmentation {
         );
         // Uniform over the disc.
         let angle = symmetric(std::f64::consts::PI, rng);
-        let radius = self.max_pour_shift_m * rng.random::<f64>().sqrt();
+        let radius = self.max_shift_m * rng.random::<f64>().sqrt();
         let shift = Vector3::new(radius * angle.cos(), radius * angle.sin(), 0.0);
 
         let motion = original.perturbed(self.weight_noise, rng);
@@ -189,9 +189,10 @@ impl Augmentation {
         let stretch = [0; 3].map(|_| more(self.max_stretch, rng));
         let motion = stretched(task, &scaled(task, &motion, turn_by, lift_by), &stretch)?;
         let motion = moved(task, &shifted(task, &motion, shift)?, turn, by);
+        let measured = task.empirical_task(&motion).ok()?;
         let copied = Demonstration {
             id: format!("{}+{number}", demonstration.id),
-            w: task.empirical_task(&motion).ok()?,
+            w: off.added(task, &measured, turn)?,
             events: task.events(&motion),
             motion,
         };
@@ -204,10 +205,12 @@ impl Augmentation {
 
 /// A demonstration that is copied, with what all of its copies need.
 struct Original<'a> {
-    task: &'a PouringTask,
+    task: &'a ManipulationTask,
     demonstration: &'a Demonstration,
     /// Bounds of validity that it breaks itself.
     broken: Vec<&'static str>,
+    /// How far its task parameters are from what its motion shows.
+    off: Offsets,
     poses: Vec<Isometry3<f64>>,
     dmp: PoseDmp,
     /// The motion as the primitive repeats it.
@@ -215,14 +218,15 @@ struct Original<'a> {
 }
 
 impl<'a> Original<'a> {
-    fn new(task: &'a PouringTask, demonstration: &'a Demonstration) -> Self {
+    fn new(task: &'a ManipulationTask, demonstration: &'a Demonstration) -> Self {
         let motion = &demonstration.motion;
         let poses = task.state_frame().poses(&motion.states);
         let dmp = PoseDmp::fit(&DmpConfig::default(), &poses)
-            .expect("a pour has more steps than the primitive has basis functions");
+            .expect("a motion has states enough for a primitive");
         let repeated = dmp.rollout(&dmp.start(), &dmp.goal(), poses.len());
         let broken = task.violations(motion).into_iter().map(|v| v.bound).collect();
-        Self { task, demonstration, broken, poses, dmp, repeated }
+        let off = Offsets::new(task, demonstration);
+        Self { task, demonstration, broken, off, poses, dmp, repeated }
     }
 
     /// The motion, changed by what noise on the primitive's weights changes in its rollout; what the
@@ -240,25 +244,61 @@ impl<'a> Original<'a> {
     }
 }
 
-/// The motion with every turn from the grasp, and every height above it, times a factor.
-pub fn scaled(task: &PouringTask, motion: &Motion, turn_by: f64, lift_by: f64) -> Motion {
+/// How far the locations of a demonstration are from where its motion shows them: not at all, but where
+/// a topic told them.
+struct Offsets(Vec<[f64; 2]>);
+
+impl Offsets {
+    fn new(task: &ManipulationTask, demonstration: &Demonstration) -> Self {
+        let Ok(measured) = task.empirical_task(&demonstration.motion) else {
+            return Self(Vec::new());
+        };
+        let pairs = demonstration.w.values().chunks(2).zip(measured.values().chunks(2));
+        Self(pairs.map(|(told, shown)| [told[0] - shown[0], told[1] - shown[1]]).collect())
+    }
+
+    /// The task parameters of a copy that shows these ones, after a turn about the vertical.
+    fn added(
+        &self,
+        task: &ManipulationTask,
+        measured: &TaskParameters,
+        turn_rad: f64,
+    ) -> Option<TaskParameters> {
+        let (sin, cos) = turn_rad.sin_cos();
+        let shown = measured.values().chunks(2).zip(&self.0);
+        let told = shown
+            .flat_map(|(at, [x, y])| [at[0] + (cos * x - sin * y), at[1] + (sin * x + cos * y)]);
+        TaskParameters::new(&task.task_space(), told.collect()).ok()
+    }
+}
+
+/// The motion with every turn from the start, and every height above it, times a factor. Heights are
+/// those above the straight way from the first state to where the object is put down, or above the first
+/// state where it is not put down.
+pub fn scaled(task: &ManipulationTask, motion: &Motion, turn_by: f64, lift_by: f64) -> Motion {
     let frame = task.state_frame();
     let poses = frame.poses(&motion.states);
-    let grasp = poses[0];
-    let scaled = |pose: &Isometry3<f64>| {
-        let mut position = pose.translation;
-        position.z = grasp.translation.z + lift_by * (position.z - grasp.translation.z);
-        let turn = (pose.rotation * grasp.rotation.inverse()).scaled_axis();
-        let turn = UnitQuaternion::from_scaled_axis(turn * turn_by);
-        Isometry3::from_parts(position, turn * grasp.rotation)
+    let start = poses[0];
+    let last = (poses.len() - 1) as f64;
+    let rise = match task.action {
+        Action::Tilt { .. } => 0.0,
+        Action::Carry { .. } => poses[poses.len() - 1].translation.z - start.translation.z,
     };
-    let poses: Vec<_> = poses.iter().map(scaled).collect();
+    let scaled = |(i, pose): (usize, &Isometry3<f64>)| {
+        let mut position = pose.translation;
+        let ground = start.translation.z + rise * (i as f64 / last);
+        position.z = ground + lift_by * (position.z - ground);
+        let turn = (pose.rotation * start.rotation.inverse()).scaled_axis();
+        let turn = UnitQuaternion::from_scaled_axis(turn * turn_by);
+        Isometry3::from_parts(position, turn * start.rotation)
+    };
+    let poses: Vec<_> = poses.iter().enumerate().map(scaled).collect();
     Motion { states: frame.trajectory(&poses), duration_secs: motion.duration_secs }
 }
 
 /// The motion with the times between its events times factors, of which there is one more than
-/// events. None for a motion without a pour.
-pub fn stretched(task: &PouringTask, motion: &Motion, factors: &[f64]) -> Option<Motion> {
+/// events. None for a motion without the action.
+pub fn stretched(task: &ManipulationTask, motion: &Motion, factors: &[f64]) -> Option<Motion> {
     let events = task.events(motion);
     if events.len() + 1 != factors.len() {
         return None;
@@ -271,27 +311,32 @@ pub fn stretched(task: &PouringTask, motion: &Motion, factors: &[f64]) -> Option
     Some(Motion { states: motion.states.at(times), duration_secs: after.iter().sum() })
 }
 
-/// The motion turned about the vertical through its grasp, then moved.
-pub fn moved(task: &PouringTask, motion: &Motion, turn_rad: f64, by: Vector3<f64>) -> Motion {
+/// The motion turned about the vertical through its start, then moved.
+pub fn moved(task: &ManipulationTask, motion: &Motion, turn_rad: f64, by: Vector3<f64>) -> Motion {
     let frame = task.state_frame();
     let poses = frame.poses(&motion.states);
-    let grasp = Translation3::from(poses[0].translation.vector);
+    let start = Translation3::from(poses[0].translation.vector);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad);
-    let transform = Translation3::from(by) * grasp * turn * grasp.inverse();
+    let transform = Translation3::from(by) * start * turn * start.inverse();
     let poses: Vec<Isometry3<f64>> = poses.iter().map(|pose| transform * pose).collect();
     Motion { states: frame.trajectory(&poses), duration_secs: motion.duration_secs }
 }
 
-/// The motion with its pour shifted and its grasp in place: between them the shift grows along a
-/// minimum-jerk profile. None for a motion without a pour.
-pub fn shifted(task: &PouringTask, motion: &Motion, shift: Vector3<f64>) -> Option<Motion> {
-    let pour_start_secs = task.factors(motion).first()?.value;
-    // Complete in the last state before the pour, so that all of the pour is shifted alike.
-    let pour_step = (pour_start_secs / motion.step_secs()).floor().max(1.0);
+/// The motion with its action shifted and its start in place: between them the shift grows along a
+/// minimum-jerk profile, until the object is tilted, or has arrived. None for a motion without the
+/// action.
+pub fn shifted(task: &ManipulationTask, motion: &Motion, shift: Vector3<f64>) -> Option<Motion> {
+    let action = task.action_steps(motion)?;
+    let there = match task.action {
+        Action::Tilt { .. } => action[0],
+        Action::Carry { .. } => action[1],
+    };
+    // Complete in the last state before, so that all of the action is shifted alike.
+    let there = there.floor().max(1.0);
     let mut states = motion.states.clone();
     let mut values = states.values().to_vec();
     for (t, state) in values.chunks_exact_mut(states.dim()).enumerate() {
-        let u = (t as f64 / pour_step).min(1.0);
+        let u = (t as f64 / there).min(1.0);
         let share = u * u * u * (10.0 + u * (6.0 * u - 15.0));
         state[..3].iter_mut().zip(shift.iter()).for_each(|(v, s)| *v += share * s);
     }
@@ -319,13 +364,14 @@ fn region<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demonstrations::pouring::tests::{one_pour, rolled};
+    use crate::demonstrations::manipulation::tests::{one_pour, one_stack, rolled, stacking};
+    use crate::demonstrations::pouring;
     use proptest::prelude::*;
     use rand::SeedableRng;
     use rand::rngs::ChaCha8Rng;
 
     fn demonstrations(count: usize) -> Vec<Demonstration> {
-        let task = PouringTask::default();
+        let task = pouring::task();
         let one = |i: usize| {
             let motion = rolled(&one_pour(80.0 + i as f64), 0.1);
             let (turn, by) = (0.1 * i as f64, Vector3::new(0.02 * i as f64, 0.3, 0.0));
@@ -342,7 +388,7 @@ mod tests {
         fn the_task_moves_with_the_motion_and_the_manner_stays(
             turn in -3.0..3.0f64, x in -0.5..0.5f64, y in -0.5..0.5f64,
         ) {
-            let task = PouringTask::default();
+            let task = pouring::task();
             let before = rolled(&one_pour(90.0), 0.1);
             let after = moved(&task, &before, turn, Vector3::new(x, y, 0.0));
             let [a, b] = [&before, &after].map(|m| task.empirical_task(m).unwrap());
@@ -366,7 +412,7 @@ mod tests {
         fn a_stretch_changes_the_times_alone(
             before in 0.8..1.2f64, during in 0.8..1.2f64, after in 0.8..1.2f64,
         ) {
-            let task = PouringTask::default();
+            let task = pouring::task();
             let motion = rolled(&one_pour(90.0), 0.1);
             let other = stretched(&task, &motion, &[before, during, after]).unwrap();
             let [a, b] = [&motion, &other].map(|m| task.factors(m));
@@ -383,7 +429,7 @@ mod tests {
 
         #[test]
         fn scaling_changes_tilt_and_lift_alone(turn_by in 0.9..1.1f64, lift_by in 0.8..1.2f64) {
-            let task = PouringTask::default();
+            let task = pouring::task();
             let motion = rolled(&one_pour(90.0), 0.1);
             let other = scaled(&task, &motion, turn_by, lift_by);
             let of = |motion: &Motion, name: &str| {
@@ -398,7 +444,7 @@ mod tests {
 
         #[test]
         fn a_shift_moves_the_pour_and_keeps_the_grasp(x in -0.05..0.05f64, y in -0.05..0.05f64) {
-            let task = PouringTask::default();
+            let task = pouring::task();
             let before = rolled(&one_pour(90.0), 0.1);
             let after = shifted(&task, &before, Vector3::new(x, y, 0.0)).unwrap();
             prop_assert_eq!(before.states.state(0), after.states.state(0));
@@ -409,8 +455,50 @@ mod tests {
     }
 
     #[test]
+    fn a_stack_elsewhere_keeps_its_start_and_the_height_of_its_end() {
+        let (task, motion) = (stacking(), one_stack());
+        let ends = |motion: &Motion| {
+            let poses = task.state_frame().poses(&motion.states);
+            [0, poses.len() - 1].map(|i| poses[i].translation.vector)
+        };
+        let shift = Vector3::new(0.03, -0.02, 0.0);
+        let [start, end] = ends(&motion);
+        let [after_start, after_end] = ends(&shifted(&task, &motion, shift).unwrap());
+        assert!((after_start - start).norm() < 1e-12 && (after_end - end - shift).norm() < 1e-12);
+        let higher = scaled(&task, &motion, 1.0, 1.2);
+        let [after_start, after_end] = ends(&higher);
+        assert!((after_start - start).norm() < 1e-12 && (after_end - end).norm() < 1e-12);
+        let lift = |motion: &Motion| task.factors(motion)[3].value;
+        assert!(lift(&higher) > 1.1 * lift(&motion), "{} {}", lift(&higher), lift(&motion));
+        assert!(stretched(&task, &motion, &[1.1, 0.9, 1.0]).is_some());
+    }
+
+    #[test]
+    fn a_copy_of_what_a_topic_told_is_as_far_from_it() {
+        let task = pouring::task();
+        let mut demonstration = demonstrations(1).remove(0);
+        let told: Vec<f64> = demonstration
+            .w
+            .values()
+            .iter()
+            .zip([0.02, -0.01, 0.0, 0.0])
+            .map(|(w, by)| w + by)
+            .collect();
+        demonstration.w = TaskParameters::new(&task.task_space(), told).unwrap();
+        let off = Offsets::new(&task, &demonstration);
+        let turn = 0.5;
+        let copy = moved(&task, &demonstration.motion, turn, Vector3::new(0.1, 0.0, 0.0));
+        let shown = task.empirical_task(&copy).unwrap();
+        let w = off.added(&task, &shown, turn).unwrap();
+        let [x, y] = [0, 1].map(|i| w.values()[i] - shown.values()[i]);
+        assert!((x.hypot(y) - 0.02_f64.hypot(0.01)).abs() < 1e-12);
+        assert!((y.atan2(x) - (-0.01_f64).atan2(0.02) - turn).abs() < 1e-9);
+        assert_eq!(w.values()[2..], shown.values()[2..]);
+    }
+
+    #[test]
     fn noise_on_the_weights_changes_the_motion_a_little_and_its_grasp_not_at_all() {
-        let task = PouringTask::default();
+        let task = pouring::task();
         let all = demonstrations(1);
         let original = Original::new(&task, &all[0]);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -437,7 +525,7 @@ mod tests {
 
     #[test]
     fn copies_are_valid_inside_the_region_and_never_tested_on() {
-        let task = PouringTask::default();
+        let task = pouring::task();
         let all = demonstrations(10);
         let mut splits = Splits {
             train: all[..6].to_vec(),
@@ -473,7 +561,7 @@ mod tests {
         let augmentation = Augmentation { train_copies: 8, tries: 3, ..Augmentation::default() };
         let mut splits = Splits { train: demonstrations(4), ..Splits::default() };
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let task = PouringTask::default();
+        let task = pouring::task();
         let report = augmentation.augment(&task, &mut splits, |_, _| false, &mut rng);
         assert_eq!(report, AugmentationReport { made: 0, failed: 8, rejected: 12 });
         assert_eq!(splits.train.len(), 4);

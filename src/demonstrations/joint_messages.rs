@@ -152,6 +152,8 @@ impl<'a> JointMessages<'a> {
                 .collect(),
             grippers: grippers.collect(),
             joint_names: joints.iter().map(|(name, _)| (*name).clone()).collect(),
+            points: Vec::new(),
+            marks_secs: Vec::new(),
         };
         let doubled = most.map_or(0, |(_, series)| series.doubled);
         let incomplete = most.map_or(0, |(_, series)| series.nanos.len() - frames.len());
@@ -270,7 +272,11 @@ mod tests {
             open: 0.05,
         };
         let hand = GripperChannel { name: "hand".into(), source };
-        Channels { joints: ["a", "b"].map(String::from).to_vec(), grippers: vec![hand] }
+        Channels {
+            joints: ["a", "b"].map(String::from).to_vec(),
+            grippers: vec![hand],
+            ..Channels::default()
+        }
     }
 
     fn at(log_millis: i64, stamp_millis: Option<i64>) -> MessageTime {

@@ -3,8 +3,10 @@
 pub mod arcs;
 pub mod augmentation;
 pub mod joint_messages;
+pub mod manipulation;
 pub mod mirroring;
 pub mod pouring;
+pub mod quality;
 pub mod recording;
 pub mod simulation;
 pub mod task;

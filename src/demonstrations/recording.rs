@@ -6,7 +6,9 @@
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
+use super::task::TaskSettingError;
 use crate::kinematics::Chain;
+use crate::parameters::Interval;
 
 /// Joint angles and grippers over time, whatever file they came from.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +23,23 @@ pub struct JointRecording {
     pub positions: Vec<Vec<f64>>,
     /// The grippers, sampled at the frames.
     pub grippers: Vec<GripperRecording>,
+    /// Where things were, as topics say.
+    pub points: Vec<PointRecording>,
+    /// When somebody marked a new demonstration.
+    pub marks_secs: Vec<f64>,
+}
+
+/// Where something was over time, as a topic says. Its times may lie before the first frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PointRecording {
+    /// Name of the topic.
+    pub topic: String,
+    /// The frame that the positions are in.
+    pub frame: String,
+    /// Time of each position, ascending.
+    pub times_secs: Vec<f64>,
+    /// Positions in the frame.
+    pub positions_m: Vec<[f64; 3]>,
 }
 
 /// How far a gripper is open over time.
@@ -81,8 +100,9 @@ pub struct Arm {
     pub name: String,
     /// Names of the joints, in the order of the chain.
     pub joints: Vec<String>,
-    /// Name of the gripper; in the layout of MIME, of its file.
-    pub gripper: String,
+    /// Name of the gripper; in the layout of MIME, of its file. Absent where none is recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper: Option<String>,
     /// Where messages say how far the gripper is open.
     #[serde(default, skip_serializing_if = "GripperSource::is_empty")]
     pub gripper_source: GripperSource,
@@ -128,12 +148,12 @@ impl GripperSource {
 
 /// The robot that demonstrations were recorded on (`config/robots/*.toml`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct RobotConfig {
     /// Name, such as `baxter`.
     pub name: String,
     /// URDF file, relative to the TOML; absent for the embedded Baxter description.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub urdf: Option<String>,
     /// The frame that poses are expressed in.
     pub base_frame: String,
@@ -142,8 +162,30 @@ pub struct RobotConfig {
     /// The arm that is served, `base_frame` to `tip_link`.
     pub arm: Arm,
     /// The other arm, if demonstrations with it count when mirrored.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrored_arm: Option<Arm>,
+    /// Where people work with the served arm, for simulating them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub workplace: Option<Workplace>,
+}
+
+/// Where people who guide an arm have their objects, and how they hold its hand: level or pointing down a
+/// bit. Positions are the tip's at a grasp, in the base frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Workplace {
+    /// Where objects stand.
+    pub x_m: Interval,
+    /// See `x_m`.
+    pub y_m: Interval,
+    /// Heights at which objects are grasped.
+    pub height_m: Interval,
+    /// Directions over the ground in which the hand points, counted from the base's x axis.
+    pub heading_deg: Interval,
+    /// The `(x, y)` that the hand mostly comes from.
+    pub shoulder_m: [f64; 2],
+    /// How far the hand mostly turns against the direction from there.
+    pub heading_turn_deg: f64,
 }
 
 impl Default for RobotConfig {
@@ -156,7 +198,7 @@ impl Default for RobotConfig {
         let arm = |side: &str, mirror_signs| Arm {
             name: side.into(),
             joints: joints(side),
-            gripper: format!("{side}_gripper"),
+            gripper: Some(format!("{side}_gripper")),
             // Of the electric gripper's description: a finger moves by 20.8 mm.
             gripper_source: GripperSource {
                 joint: Some(format!("{}_gripper_l_finger_joint", &side[..1])),
@@ -173,6 +215,14 @@ impl Default for RobotConfig {
             tip_link: "left_gripper".into(),
             arm: arm("left", None),
             mirrored_arm: Some(arm("right", Some(super::mirroring::BAXTER_SIGNS.to_vec()))),
+            workplace: Some(Workplace {
+                x_m: Interval { lower: 0.5, upper: 0.85 },
+                y_m: Interval { lower: -0.05, upper: 0.6 },
+                height_m: Interval { lower: -0.10, upper: 0.05 },
+                heading_deg: Interval { lower: -60.0, upper: 20.0 },
+                shoulder_m: [0.1, 0.25],
+                heading_turn_deg: -20.0,
+            }),
         }
     }
 }
@@ -183,17 +233,17 @@ impl RobotConfig {
         std::iter::once(&self.arm).chain(&self.mirrored_arm)
     }
 
-    /// Names of the joints of all arms, and of their grippers.
+    /// The joints of all arms, and their grippers.
     pub fn channels(&self) -> Channels {
+        let gripper = |arm: &Arm| {
+            let name = arm.gripper.clone()?;
+            Some(GripperChannel { name, source: arm.gripper_source.clone() })
+        };
         Channels {
             joints: self.arms().flat_map(|a| a.joints.clone()).collect(),
-            grippers: self
-                .arms()
-                .map(|a| GripperChannel {
-                    name: a.gripper.clone(),
-                    source: a.gripper_source.clone(),
-                })
-                .collect(),
+            grippers: self.arms().filter_map(gripper).collect(),
+            points: Vec::new(),
+            marker: None,
         }
     }
 }
@@ -214,6 +264,27 @@ pub struct RecordingRules {
     pub open_above_percent: f64,
     /// Closings and openings that last shorter than this are none.
     pub min_gripper_secs: f64,
+    /// An arm moves while one of its joints does so faster than this.
+    pub still_rad_per_s: f64,
+    /// Motions that last shorter than this are none.
+    pub min_motion_secs: f64,
+    /// Where one demonstration ends and the next begins, in a recording that went on.
+    pub cut_at: CutAt,
+    /// For `cut_at = "pauses"`: all arms stand still for longer than this.
+    pub pause_secs: f64,
+}
+
+/// Where one demonstration ends and the next begins, in a recording that went on.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CutAt {
+    /// Amid each time that all grippers are open after one held something and before one does again.
+    #[default]
+    Grasps,
+    /// Amid each time that all arms stand still.
+    Pauses,
+    /// At each message of this topic, whatever its type.
+    Marker(String),
 }
 
 impl Default for RecordingRules {
@@ -225,11 +296,79 @@ impl Default for RecordingRules {
             closed_below_percent: 45.0,
             open_above_percent: 55.0,
             min_gripper_secs: 0.2,
+            still_rad_per_s: 0.03,
+            min_motion_secs: 0.2,
+            cut_at: CutAt::Grasps,
+            pause_secs: 2.0,
         }
     }
 }
 
+/// Half of the time over which the speed of a joint is measured, so that noise is no motion.
+const HALF_SPEED_SECS: f64 = 0.1;
+
 impl RecordingRules {
+    pub(super) fn check(&self) -> Result<(), TaskSettingError> {
+        let secs = |name, value: f64| (name, value, value >= 0.0, "finite and not negative");
+        let above = |name, value: f64| (name, value, value > 0.0, "finite and above 0");
+        let (closed, open) = (self.closed_below_percent, self.open_above_percent);
+        for (name, value, fits, expected) in [
+            secs("recording.min_duration_secs", self.min_duration_secs),
+            above("recording.jump_rad", self.jump_rad),
+            above("recording.jump_window_secs", self.jump_window_secs),
+            (
+                "recording.closed_below_percent",
+                closed,
+                closed <= open,
+                "at most open_above_percent",
+            ),
+            secs("recording.open_above_percent", open),
+            secs("recording.min_gripper_secs", self.min_gripper_secs),
+            above("recording.still_rad_per_s", self.still_rad_per_s),
+            secs("recording.min_motion_secs", self.min_motion_secs),
+            above("recording.pause_secs", self.pause_secs),
+        ] {
+            if !(fits && value.is_finite()) {
+                return Err(TaskSettingError { name, value: value.to_string(), expected });
+            }
+        }
+        match &self.cut_at {
+            CutAt::Marker(topic) if !topic.starts_with('/') => Err(TaskSettingError {
+                name: "recording.cut_at.marker",
+                value: topic.clone(),
+                expected: "a topic's full name, which begins with /",
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// When any of these joints moves: from which frame, and before which. What lasts too short is none.
+    pub(super) fn moves(&self, times_secs: &[f64], positions: &[Vec<f64>]) -> Vec<[usize; 2]> {
+        let frames = times_secs.len();
+        let (mut from, mut to) = (0, 0);
+        let mut runs: Vec<[usize; 2]> = Vec::new();
+        for i in 0..frames {
+            while times_secs[i] - times_secs[from] > HALF_SPEED_SECS + 1e-9 {
+                from += 1;
+            }
+            while to + 1 < frames && times_secs[to] - times_secs[i] < HALF_SPEED_SECS - 1e-9 {
+                to += 1;
+            }
+            let secs = times_secs[to] - times_secs[from];
+            let pairs = || positions[from].iter().zip(&positions[to]);
+            let moves =
+                secs > 0.0 && pairs().any(|(a, b)| (b - a).abs() / secs > self.still_rad_per_s);
+            match runs.last_mut() {
+                Some(run) if moves && run[1] == i => run[1] = i + 1,
+                _ if moves => runs.push([i, i + 1]),
+                _ => {}
+            }
+        }
+        let lasts = |run: &[usize; 2]| times_secs[run[1] - 1] - times_secs[run[0]];
+        runs.retain(|run| lasts(run) >= self.min_motion_secs);
+        runs
+    }
+
     /// When a gripper is closed: from which frame, and before which. What lasts too short is what was
     /// before going on.
     pub(super) fn holds(&self, times_secs: &[f64], percent_open: &[f64]) -> Vec<[usize; 2]> {
@@ -262,12 +401,16 @@ impl RecordingRules {
 }
 
 /// What an importer is to read.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Channels {
     /// Names of joints.
     pub joints: Vec<String>,
     /// Grippers.
     pub grippers: Vec<GripperChannel>,
+    /// Topics of points or poses.
+    pub points: Vec<String>,
+    /// A topic whose messages mark new demonstrations.
+    pub marker: Option<String>,
 }
 
 /// A gripper that an importer is to read.
@@ -290,8 +433,8 @@ pub struct ArmRecording {
     pub positions: Vec<Vec<f64>>,
     /// The tip of the served arm in the base frame.
     pub base_from_tip: Vec<Isometry3<f64>>,
-    /// Per cent that the gripper is open.
-    pub percent_open: Vec<f64>,
+    /// Per cent that the gripper is open; absent where none is recorded.
+    pub percent_open: Option<Vec<f64>>,
 }
 
 impl Arm {
@@ -316,11 +459,15 @@ impl Arm {
             })
         };
         let places = self.joints.iter().map(place).collect::<Result<Vec<_>, _>>()?;
-        let gripper = recording.grippers.iter().find(|g| g.name == self.gripper);
-        let gripper = gripper.ok_or_else(|| RecordingError::GripperMissing {
-            name: self.gripper.clone(),
-            known: recording.grippers.iter().map(|g| &*g.name).collect::<Vec<_>>().join(", "),
-        })?;
+        let percent_open = |name: &String| {
+            let gripper = recording.grippers.iter().find(|g| g.name == *name);
+            let gripper = gripper.map(|g| g.percent_open.clone());
+            gripper.ok_or_else(|| RecordingError::GripperMissing {
+                name: name.clone(),
+                known: recording.grippers.iter().map(|g| &*g.name).collect::<Vec<_>>().join(", "),
+            })
+        };
+        let percent_open = self.gripper.as_ref().map(percent_open).transpose()?;
         let own = |frame: &Vec<f64>| {
             let own: Vec<f64> = places.iter().map(|&i| frame[i]).collect();
             match &self.mirror_signs {
@@ -334,7 +481,7 @@ impl Arm {
             times_secs: recording.times_secs.clone(),
             base_from_tip: positions.iter().map(|q| chain.forward(q)).collect(),
             positions,
-            percent_open: gripper.percent_open.clone(),
+            percent_open,
         })
     }
 }
@@ -350,7 +497,8 @@ impl ArmRecording {
     }
 }
 
-/// Why a recording is not among the demonstrations.
+/// Why a recording is not among the demonstrations. A task has its own names for some of them
+/// ([`super::manipulation::ManipulationTask::reason_name`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -363,11 +511,11 @@ pub enum Reason {
     Jump,
     /// The gripper never closes on anything.
     NoGrasp,
-    /// What was grasped never pours.
-    NoPour,
-    /// More than one pour.
-    SeveralPours,
-    /// The recording ends, or the gripper opens, before the pour is over.
+    /// What was grasped is not used as the task says; `no_pour`.
+    NoAction,
+    /// It is so more than once; `several_pours`.
+    SeveralActions,
+    /// The recording ends, or the gripper opens, before the action is over.
     Incomplete,
     /// The motion leaves the bounds of the task.
     OutOfRegion,
@@ -382,8 +530,8 @@ impl std::fmt::Display for Reason {
             Self::TooShort => "too_short",
             Self::Jump => "jump",
             Self::NoGrasp => "no_grasp",
-            Self::NoPour => "no_pour",
-            Self::SeveralPours => "several_pours",
+            Self::NoAction => "no_action",
+            Self::SeveralActions => "several_actions",
             Self::Incomplete => "incomplete",
             Self::OutOfRegion => "out_of_region",
             Self::User => "user",
@@ -420,10 +568,65 @@ pub struct Jump {
 }
 
 impl JointRecording {
-    /// The demonstrations of one that went on recording: cut amid each time that all grippers are open
-    /// after one held something and before one does again. Each begins at time 0; of several, the ids
-    /// are numbered from 1. A gripper that never opens, or never closes, holds nothing.
+    /// The demonstrations of one that went on recording, cut as the rules say. Each begins at time 0; of
+    /// several, the ids are numbered from 1.
     pub fn cut(self, rules: &RecordingRules) -> Vec<Self> {
+        let frames = self.times_secs.len();
+        let mut cuts = match &rules.cut_at {
+            CutAt::Grasps => self.between_grasps(rules),
+            CutAt::Pauses => self.amid_pauses(rules),
+            CutAt::Marker(_) => {
+                let frame = |mark: &f64| self.times_secs.partition_point(|t| t < mark);
+                self.marks_secs.iter().map(frame).filter(|i| (1..frames).contains(i)).collect()
+            }
+        };
+        cuts.dedup();
+        if cuts.is_empty() {
+            return vec![self];
+        }
+        cuts.push(frames);
+        let mut from = 0;
+        let piece = |(number, to): (usize, usize)| {
+            let range = from..to;
+            from = to;
+            Self {
+                id: format!("{}#{}", self.id, number + 1),
+                times_secs: self.times_secs[range.clone()]
+                    .iter()
+                    .map(|t| t - self.times_secs[range.start])
+                    .collect(),
+                joint_names: self.joint_names.clone(),
+                positions: self.positions[range.clone()].to_vec(),
+                grippers: self
+                    .grippers
+                    .iter()
+                    .map(|g| GripperRecording {
+                        name: g.name.clone(),
+                        percent_open: g.percent_open[range.clone()].to_vec(),
+                    })
+                    .collect(),
+                // Where things were before it counts, too.
+                points: self
+                    .points
+                    .iter()
+                    .map(|p| PointRecording {
+                        times_secs: p
+                            .times_secs
+                            .iter()
+                            .map(|t| t - self.times_secs[range.start])
+                            .collect(),
+                        ..p.clone()
+                    })
+                    .collect(),
+                marks_secs: Vec::new(),
+            }
+        };
+        cuts.into_iter().enumerate().map(piece).collect()
+    }
+
+    /// Frames amid each time that all grippers are open after one held something and before one does
+    /// again. A gripper that never opens, or never closes, holds nothing.
+    fn between_grasps(&self, rules: &RecordingRules) -> Vec<usize> {
         let frames = self.times_secs.len();
         let mut held = vec![false; frames];
         // The first frame that is after something was held.
@@ -452,33 +655,17 @@ impl JointRecording {
                 _ => {}
             }
         }
-        if cuts.is_empty() {
-            return vec![self];
-        }
-        cuts.push(frames);
-        let mut from = 0;
-        let piece = |(number, to): (usize, usize)| {
-            let range = from..to;
-            from = to;
-            Self {
-                id: format!("{}#{}", self.id, number + 1),
-                times_secs: self.times_secs[range.clone()]
-                    .iter()
-                    .map(|t| t - self.times_secs[range.start])
-                    .collect(),
-                joint_names: self.joint_names.clone(),
-                positions: self.positions[range.clone()].to_vec(),
-                grippers: self
-                    .grippers
-                    .iter()
-                    .map(|g| GripperRecording {
-                        name: g.name.clone(),
-                        percent_open: g.percent_open[range.clone()].to_vec(),
-                    })
-                    .collect(),
-            }
-        };
-        cuts.into_iter().enumerate().map(piece).collect()
+        cuts
+    }
+
+    /// Frames amid each pause between two motions.
+    fn amid_pauses(&self, rules: &RecordingRules) -> Vec<usize> {
+        let moves = rules.moves(&self.times_secs, &self.positions);
+        let pauses = moves.windows(2).map(|pair| [pair[0][1] - 1, pair[1][0]]);
+        pauses
+            .filter(|[from, to]| self.times_secs[*to] - self.times_secs[*from] > rules.pause_secs)
+            .map(|[from, to]| (from + to).div_ceil(2))
+            .collect()
     }
 
     /// The largest change of any joint within `window_secs`; none for an empty recording.
@@ -519,6 +706,8 @@ mod tests {
             joint_names: vec!["j".into()],
             positions,
             grippers: vec![],
+            points: vec![],
+            marks_secs: vec![],
         }
     }
 
@@ -572,6 +761,43 @@ mod tests {
     }
 
     #[test]
+    fn a_recording_without_grippers_is_cut_amid_its_pauses_or_at_marks() {
+        // Moves, pauses for 3 s, moves, pauses for 1 s, moves; at 100 Hz, with noise of 0.3 mrad.
+        let speeds = [(200, 1.0), (300, 0.0), (200, -1.0), (100, 0.0), (200, 1.0)];
+        let speeds = speeds.iter().flat_map(|&(frames, speed)| std::iter::repeat_n(speed, frames));
+        let mut at = 0.0;
+        let positions = speeds.enumerate().map(|(i, speed): (usize, f64)| {
+            at += 0.01 * speed;
+            at + 3e-4 * (i as f64).sin()
+        });
+        let recording = JointRecording { marks_secs: vec![1.005, 8.0], ..recording(positions) };
+        let lengths = |cut_at| {
+            let rules = RecordingRules { cut_at, ..RecordingRules::default() };
+            let pieces = recording.clone().cut(&rules);
+            pieces.iter().map(|piece| piece.times_secs.len()).collect::<Vec<_>>()
+        };
+        let amid = lengths(CutAt::Pauses);
+        assert!(amid.len() == 2 && (amid[0] as i64 - 350).abs() < 10, "{amid:?}");
+        assert_eq!(lengths(CutAt::Marker("/next".into())), [101, 699, 200]);
+        assert_eq!(lengths(CutAt::Grasps), [1000]);
+    }
+
+    #[test]
+    fn where_things_were_before_a_piece_is_known_in_it() {
+        let mut whole = recording((0..1000).map(|i| 0.01 * f64::from(i)));
+        whole.marks_secs = vec![5.0];
+        whole.points = vec![PointRecording {
+            topic: "/bowl".into(),
+            frame: "base".into(),
+            times_secs: vec![1.0, 6.0],
+            positions_m: vec![[0.5, 0.0, 0.0], [0.6, 0.0, 0.0]],
+        }];
+        let rules = RecordingRules { cut_at: CutAt::Marker("/m".into()), ..Default::default() };
+        let pieces = whole.cut(&rules);
+        assert_eq!(pieces[1].points[0].times_secs, [-4.0, 1.0]);
+    }
+
+    #[test]
     fn one_grasp_is_one_demonstration() {
         for states in ["oooccccooo", "oooccccccc", "oooooooooo", "cccccccccc", "ccccoooccc"] {
             assert_eq!(cut(&[states]), [0], "{states}");
@@ -606,7 +832,7 @@ mod tests {
 
     #[test]
     fn reasons_are_written_as_in_the_files() {
-        for reason in [Reason::TooShort, Reason::SeveralPours, Reason::OutOfRegion] {
+        for reason in [Reason::TooShort, Reason::SeveralActions, Reason::OutOfRegion] {
             assert_eq!(serde_json::to_string(&reason).unwrap(), format!("\"{reason}\""));
         }
     }

@@ -1,10 +1,13 @@
 //! What a task measures of a motion: the paper's `G` (eq. 15), and whether the motion is one.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use super::arcs::ArcsTask;
-use super::pouring::PouringTask;
+use super::manipulation::ManipulationTask;
 use crate::parameters::{TaskParameters, TaskSpace};
+use crate::pose::{STATE_NAMES, StateFrame};
 use crate::trajectory::Motion;
 
 /// Why a motion has no empirical task parameters.
@@ -39,11 +42,11 @@ impl std::fmt::Display for Violation {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Factor {
     /// Name, such as `pour_duration`.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Unit, such as `s`.
     pub unit: &'static str,
-    /// What a person reads after number and unit: `above 70 degrees`.
-    pub phrase: &'static str,
+    /// What a person reads after number and unit: `of the pour`.
+    pub phrase: Cow<'static, str>,
     /// The value.
     pub value: f64,
     /// Whether other factors determine most of it, as a pour's start and length do the time of the
@@ -54,7 +57,7 @@ pub struct Factor {
 /// What a task measures of a motion. Nothing that models, trains or serves knows more of it.
 pub trait Task: std::fmt::Debug + Send + Sync {
     /// Name, such as `pouring`.
-    fn name(&self) -> &'static str;
+    fn name(&self) -> &str;
 
     /// What the task parameters are.
     fn task_space(&self) -> TaskSpace;
@@ -89,8 +92,8 @@ pub trait Task: std::fmt::Debug + Send + Sync {
 pub enum TaskConfig {
     /// Arcs of a circle around a centre.
     Arcs(ArcsTask),
-    /// Pouring from a grasped cup at a location.
-    Pouring(PouringTask),
+    /// What an arm does with an object.
+    Manipulation(ManipulationTask),
 }
 
 /// Why a task's settings can't be used.
@@ -113,7 +116,7 @@ impl TaskConfig {
     pub fn check(&self) -> Result<(), TaskSettingError> {
         match self {
             Self::Arcs(_) => Ok(()),
-            Self::Pouring(task) => task.check(),
+            Self::Manipulation(task) => task.check(),
         }
     }
 
@@ -121,7 +124,7 @@ impl TaskConfig {
     pub fn task(&self) -> &dyn Task {
         match self {
             Self::Arcs(task) => task,
-            Self::Pouring(task) => task,
+            Self::Manipulation(task) => task,
         }
     }
 
@@ -129,16 +132,41 @@ impl TaskConfig {
     pub fn into_task(self) -> Box<dyn Task> {
         match self {
             Self::Arcs(task) => Box::new(task),
-            Self::Pouring(task) => Box::new(task),
+            Self::Manipulation(task) => Box::new(task),
         }
     }
 
-    /// Distances from the task at which success and robustness are reported: the paper's, in the
-    /// task space's unit.
+    /// Distances from the task at which success and robustness are reported, in the task space's unit;
+    /// the paper's by default.
     pub fn thresholds(&self) -> [f64; 3] {
         match self {
             Self::Arcs(_) => [0.025, 0.05, 0.1],
-            Self::Pouring(_) => [0.01, 0.02, 0.05],
+            Self::Manipulation(task) => task.thresholds_m,
+        }
+    }
+
+    /// Where states are poses of a robot's tip, what their rotations are measured from.
+    pub fn state_frame(&self) -> Option<StateFrame> {
+        match self {
+            Self::Arcs(_) => None,
+            Self::Manipulation(task) => Some(task.state_frame()),
+        }
+    }
+
+    /// Names of a state's values.
+    pub fn state_names(&self) -> Vec<String> {
+        let names: &[&str] = match self {
+            Self::Arcs(_) => &["x", "y"],
+            Self::Manipulation(_) => &STATE_NAMES,
+        };
+        names.iter().map(ToString::to_string).collect()
+    }
+
+    /// Tilt, in degrees, beyond which the action happens; none where it is no tilt.
+    pub fn tilt_threshold_deg(&self) -> Option<f64> {
+        match self {
+            Self::Arcs(_) => None,
+            Self::Manipulation(task) => task.tilt_threshold_deg(),
         }
     }
 }

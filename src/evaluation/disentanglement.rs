@@ -61,7 +61,7 @@ pub struct Cases<'a> {
 /// # Panics
 /// When a set is empty, or its manners, or factors, differ in length.
 pub fn disentanglement<R: Rng + ?Sized>(
-    names: &[&str],
+    names: &[impl AsRef<str>],
     fit: Cases<'_>,
     held_out: Cases<'_>,
     rng: &mut R,
@@ -93,7 +93,7 @@ pub fn disentanglement<R: Rng + ?Sized>(
     }
     let of_factor = |j| concentration(&column(&importance, j));
     Disentanglement {
-        factors: names.iter().map(|name| (*name).to_owned()).collect(),
+        factors: names.iter().map(|name| name.as_ref().to_owned()).collect(),
         completeness: mean(&(0..factors).map(of_factor).collect::<Vec<_>>()),
         disentanglement: if weight > 0.0 { disentanglement / weight } else { 0.0 },
         mig: mean(&gaps),

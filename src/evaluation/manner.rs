@@ -87,7 +87,7 @@ pub fn described(space: &MannerSpace, effects: &[Vec<Effect>], active: &[bool]) 
     assert!(effects.len() == space.dim() && active.len() == space.dim(), "one entry an axis");
     let names = names(effects, active);
     let axis = |(i, axis): (usize, &MannerAxis)| MannerAxis {
-        name: names[i].unwrap_or(&format!("h{}", i + 1)).into(),
+        name: names[i].map_or_else(|| format!("h{}", i + 1), String::from),
         effect: if active[i] { sentence(&effects[i]) } else { "no effect".into() },
         ..axis.clone()
     };
@@ -96,27 +96,27 @@ pub fn described(space: &MannerSpace, effects: &[Vec<Effect>], active: &[bool]) 
 }
 
 /// The factor that names each axis: strongest pairs first, each factor and each axis once.
-fn names(effects: &[Vec<Effect>], active: &[bool]) -> Vec<Option<&'static str>> {
+fn names<'a>(effects: &'a [Vec<Effect>], active: &[bool]) -> Vec<Option<&'a str>> {
     let mut pairs: Vec<(usize, &Effect)> =
         effects.iter().enumerate().flat_map(|(i, e)| e.iter().map(move |e| (i, e))).collect();
     pairs.retain(|(i, e)| active[*i] && e.r2 >= DOMINATES_R2);
     pairs.sort_by(|a, b| b.1.r2.total_cmp(&a.1.r2));
     let mut names = vec![None; effects.len()];
     for (i, effect) in pairs {
-        let name = Some(effect.per_unit.name);
+        let name = Some(&*effect.per_unit.name);
         if names[i].is_none() && !names.contains(&name) {
             names[i] = name;
         }
     }
     // What is left: one effect each, that no other parameter without a name has, too.
-    let notable = |i: usize| -> Vec<&Effect> {
+    let notable = |i: usize| -> Vec<&'a Effect> {
         let told = |e: &&Effect| active[i] && !e.per_unit.derived && e.r2 >= NOTABLE_R2;
         effects[i].iter().filter(told).collect()
     };
     let unnamed: Vec<usize> = (0..names.len()).filter(|i| names[*i].is_none()).collect();
     for &i in &unnamed {
         let [sole] = notable(i)[..] else { continue };
-        let factor = sole.per_unit.name;
+        let factor = &*sole.per_unit.name;
         let has_it = |other: &&usize| notable(**other).iter().any(|e| e.per_unit.name == factor);
         let alone = unnamed.iter().filter(has_it).count() == 1;
         if sole.r2 >= SOLE_R2 && alone && !names.contains(&Some(factor)) {
@@ -134,11 +134,11 @@ fn sentence(effects: &[Effect]) -> String {
         return "no linear effect on any factor".into();
     }
     let tell = |effect: &&Effect| {
-        let Factor { unit, phrase, value, .. } = effect.per_unit;
-        let (unit, value) = match unit {
-            "1" => (String::new(), value),
+        let Factor { unit, phrase, value, .. } = &effect.per_unit;
+        let (unit, value) = match *unit {
+            "1" => (String::new(), *value),
             "rad" => ("degrees ".into(), value.to_degrees()),
-            unit => (format!("{unit} "), value),
+            unit => (format!("{unit} "), *value),
         };
         format!("{} {unit}{phrase} per unit (R2 {:.2})", two_digits(value), effect.r2)
     };

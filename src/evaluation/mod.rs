@@ -488,7 +488,7 @@ where
             let mut found = task.factors(&demonstration.motion);
             found.retain(|factor| !factor.derived);
             if !found.is_empty() {
-                names = found.iter().map(|factor| factor.name).collect();
+                names = found.iter().map(|factor| factor.name.to_string()).collect();
                 manners.push(model.manner(&posterior.mean).values().to_vec());
                 factors.push(found.iter().map(|factor| factor.value).collect::<Vec<_>>());
             }

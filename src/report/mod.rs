@@ -3,10 +3,12 @@
 mod motions;
 mod page;
 mod panels;
+mod recordings;
 
 pub use motions::{PlottedLocation, PlottedMotion, motions_svg};
 pub use page::{Block, Page};
 pub use panels::{Curve, Panel, Plane, Points, locations_svg, paths_svg, tilts_svg};
+pub use recordings::{PlottedRecording, PlottedTask, recordings_svg, tasks_svg};
 
 use std::fmt::Display;
 

@@ -16,7 +16,7 @@ Serves a learned movement primitive on ROS 2: a goal pose in, a checked trajecto
 
 Usage: tcvae_node [OPTIONS] [--ros-args [ROS OPTIONS] [--]]
 
-Without options it serves the built-in pouring model on the built-in Baxter description.
+Without options it serves the built-in model on the built-in Baxter description.
 
 Options:
   --model FILE      the model to serve; same as the parameter model_path

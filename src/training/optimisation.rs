@@ -614,9 +614,9 @@ mod tests {
             let last = motion.states.steps() - 1;
             let [a, b, middle] = [0, last, last / 2].map(|i| motion.states.state(i)[0]);
             vec![Factor {
-                name: "bulge",
+                name: "bulge".into(),
                 unit: "m",
-                phrase: "aside",
+                phrase: "aside".into(),
                 value: middle - 0.5 * (a + b),
                 derived: false,
             }]

@@ -57,6 +57,19 @@ pub(crate) fn print_json(answer: &impl Serialize) {
     print_line(&text);
 }
 
+/// Writes a file beside its place first, so that no one reads half of it.
+pub(crate) fn write_whole(path: &Path, text: &str) -> anyhow::Result<()> {
+    let refused = |e: std::io::Error| UsageError(format!("writing {}: {e}", path.display()));
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    let file = tempfile::NamedTempFile::new_in(folder).map_err(refused)?;
+    std::fs::write(file.path(), text).map_err(refused)?;
+    file.persist(path).map_err(|e| refused(e.error))?;
+    Ok(())
+}
+
 /// A server of a model on the robot of a TOML file, or on Baxter's left arm.
 pub(crate) fn server(
     artifact: &Artifact,

@@ -10,14 +10,13 @@ use rand::rngs::ChaCha8Rng;
 use serde_json::{Value, json};
 
 use tcvae::artifact::Artifact;
-use tcvae::demonstrations::TaskConfig;
 use tcvae::parameters::{MannerParameters, TaskParameters, TaskSpace};
 use tcvae::report::{PlottedLocation, PlottedMotion, motions_svg};
 use tcvae::serving::{
     ErrorCode, GivenLocation, MAX_COUNT, Refusal, Sample, SampleReply, SampleRequest, Settings,
 };
 
-use super::{ExitStatus, UsageError, print_json, print_line, server};
+use super::{ExitStatus, UsageError, print_json, print_line, server, write_whole};
 
 /// Arguments of `tcvae sample`.
 #[derive(Debug, Args)]
@@ -98,10 +97,7 @@ pub(crate) fn run(args: SampleArgs) -> anyhow::Result<ExitStatus> {
     if let Some(path) = &args.plot
         && !reply.samples.is_empty()
     {
-        let threshold = match &artifact.document.task {
-            TaskConfig::Pouring(task) => Some(task.pour_tilt_deg),
-            _ => None,
-        };
+        let threshold = artifact.document.task.tilt_threshold_deg();
         plot(path, &args, &reply.samples, server.settings().tolerance_m, threshold)?;
     }
     if args.json {
@@ -287,20 +283,7 @@ fn plot(
         args.task.iter().map(|l| PlottedLocation { name: l.name.clone(), xy: l.xy }).collect();
     let title = format!("served motions: {}, from seed {}", samples.len(), args.seed);
     let svg = motions_svg(&title, &motions, &locations, tolerance_m, threshold_deg)?;
-    write(path, &svg)
-}
-
-/// Writes a file beside its place first, so that no one reads half of it.
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    let refused = |e: std::io::Error| UsageError(format!("writing {}: {e}", path.display()));
-    let folder = match path.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    };
-    let file = tempfile::NamedTempFile::new_in(folder).map_err(refused)?;
-    std::fs::write(file.path(), text).map_err(refused)?;
-    file.persist(path).map_err(|e| refused(e.error))?;
-    Ok(())
+    write_whole(path, &svg)
 }
 
 /// A model without a robot: its states, as the decoder has them.

@@ -11,7 +11,7 @@ use serde_json::json;
 
 use tcvae::dataset::{self, DataSetError};
 use tcvae::demonstrations::arcs::{self, ArcStart, ArcsSimulation};
-use tcvae::demonstrations::simulation::{PourSimulation, Truth, TruthFile};
+use tcvae::demonstrations::simulation::{Activity, Simulation, Truth, TruthFile};
 use tcvae::mime;
 
 use super::sources::load_robot;
@@ -21,8 +21,8 @@ use super::{ExitStatus, Settings, UsageError, print_json, print_line};
 const MIN_ARCS: usize = 10;
 /// Most arcs: about 2 GB of files.
 const MAX_ARCS: usize = 1_000_000;
-/// Most pours: about 7 GB of files.
-const MAX_POURS: usize = 10_000;
+/// Most recordings: about 7 GB of files.
+const MAX_RECORDINGS: usize = 10_000;
 /// What is true of simulated demonstrations; where it lies, they are simulated.
 pub(crate) const TRUTH_FILE: &str = "truth.json";
 
@@ -31,8 +31,10 @@ pub(crate) const TRUTH_FILE: &str = "truth.json";
 enum Simulated {
     /// Arcs of a circle around a centre, the paper's synthetic task
     Arcs,
-    /// People who guide Baxter's arms in pouring, in the layout of MIME
+    /// People who guide an arm in pouring from a cup, in the layout of MIME
     Pouring,
+    /// People who guide an arm in putting a block on another one, likewise
+    Stacking,
 }
 
 /// Arguments of `tcvae simulate`.
@@ -44,12 +46,15 @@ pub(crate) struct SimulateArgs {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Demonstrations in all; arcs: 10000, of which one in ten is for validation and one in ten
-    /// for testing; pouring: 280, of which about a quarter must be left out
+    /// for testing; pouring and stacking: 280, of which about a quarter must be left out
     #[arg(long)]
     count: Option<usize>,
+    /// The robot whose arm is guided; Baxter without it
+    #[arg(long, value_name = "F.toml")]
+    robot: Option<PathBuf>,
     /// A setting; arcs: start=half|full (start angles in [0, pi] or all), steps=N (points of an
-    /// arc); pouring: correlation=R from 0 to below 1 (of the largest tilt with the time of the
-    /// pour; life-like is 0.88), sides=both|right (people lean the cup to the side to which they
+    /// arc); pouring and stacking: correlation=R from 0 to below 1 (of the manner with itself and
+    /// with the task; life-like is 0.88); pouring: sides=both|right (people lean the cup to the side to which they
     /// carry it, or all to the right)
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -64,12 +69,18 @@ pub(crate) struct SimulateArgs {
 pub(crate) fn run(args: SimulateArgs) -> anyhow::Result<ExitStatus> {
     match args.what {
         Simulated::Arcs => simulate_arcs(&args),
-        Simulated::Pouring => simulate_pouring(&args),
+        Simulated::Pouring => simulate_people(&args, Activity::Pouring),
+        Simulated::Stacking => simulate_people(&args, Activity::Stacking),
     }
 }
 
 fn simulate_arcs(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
-    let SimulateArgs { what: _, seed, count, set, output, json } = args;
+    let SimulateArgs { what: _, seed, count, robot, set, output, json } = args;
+    if robot.is_some() {
+        return Err(
+            UsageError("--robot: arcs are drawn in the plane, without a robot".into()).into()
+        );
+    }
     let default = ArcsSimulation::default();
     let mut settings = Settings::new(set)?;
     let start = settings.get("start", default.start, "half or full", |value| match value {
@@ -111,9 +122,9 @@ fn simulate_arcs(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
     Ok(ExitStatus::Done)
 }
 
-fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
-    let SimulateArgs { what: _, seed, count, set, output, json } = args;
-    let default = PourSimulation::default();
+fn simulate_people(args: &SimulateArgs, activity: Activity) -> anyhow::Result<ExitStatus> {
+    let SimulateArgs { what: _, seed, count, robot, set, output, json } = args;
+    let default = Simulation { activity, ..Simulation::default() };
     let mut settings = Settings::new(set)?;
     let correlation = settings.get(
         "correlation",
@@ -121,19 +132,22 @@ fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
         "a number from 0 to below 1",
         |value| value.parse().ok().filter(|r| (0.0..1.0).contains(r)),
     )?;
-    let both_sides =
-        settings.get("sides", default.both_sides, "both or right", |value| match value {
+    let mut both_sides = default.both_sides;
+    if activity == Activity::Pouring {
+        both_sides = settings.get("sides", both_sides, "both or right", |value| match value {
             "both" => Some(true),
             "right" => Some(false),
             _ => None,
         })?;
+    }
     settings.finish()?;
     let count = count.unwrap_or(default.count);
-    if !(1..=MAX_POURS).contains(&count) {
-        let reason = format!("--count {count}: 1 to {MAX_POURS} pours are simulated at once");
+    if !(1..=MAX_RECORDINGS).contains(&count) {
+        let reason =
+            format!("--count {count}: 1 to {MAX_RECORDINGS} recordings are simulated at once");
         return Err(UsageError(reason).into());
     }
-    let simulation = PourSimulation { count, seed: *seed, correlation, both_sides };
+    let simulation = Simulation { activity, count, seed: *seed, correlation, both_sides };
     let refused = |what: &dyn std::fmt::Display| {
         UsageError(format!("{}: {what}; choose a new folder", output.display()))
     };
@@ -141,13 +155,15 @@ fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
     if fs::read_dir(output).map_err(|e| refused(&e))?.next().is_some() {
         return Err(refused(&"not empty").into());
     }
-    let chain = load_robot(None)?.chain;
+    let robot = load_robot(robot.as_deref())?;
     let write = |assignment| -> anyhow::Result<(Truth, usize)> {
-        let simulated = simulation.simulate(assignment, &chain)?;
+        let simulated = simulation
+            .simulate(assignment, &robot.config, &robot.chain)
+            .map_err(|e| UsageError(e.to_string()))?;
         mime::write(output, &simulated.raw).map_err(|e| UsageError(e.to_string()))?;
         Ok((simulated.truth, simulated.redrawn))
     };
-    let assignments = simulation.assignments()?;
+    let assignments = simulation.assignments(&robot.config)?;
     let written: Vec<_> = assignments.par_iter().map(write).collect::<Result<_, _>>()?;
     let redrawn: usize = written.iter().map(|(_, redrawn)| redrawn).sum();
     let accepted = assignments.iter().filter(|a| a.trap.is_none()).count();
@@ -164,7 +180,7 @@ fn simulate_pouring(args: &SimulateArgs) -> anyhow::Result<ExitStatus> {
     } else {
         let (folder, out) = (output.display(), count - accepted);
         print_line(&format!(
-            "{folder}: {count} recordings, seed {seed}: {accepted} pours to learn from and {out} \
+            "{folder}: {count} recordings, seed {seed}: {accepted} demonstrations to learn from and {out} \
              recordings to leave out ({redrawn} motions beyond the arm's reach were drawn anew)"
         ));
     }

@@ -14,9 +14,10 @@ use sha2::{Digest, Sha256};
 use tcvae::artifact::DataSource;
 use tcvae::config::{self, ConfigError, LoadedRobot};
 use tcvae::demonstrations::augmentation::AugmentationReport;
-use tcvae::demonstrations::pouring::{PouringTask, Segment};
-use tcvae::demonstrations::recording::{Exclusion, GripperSource, JointRecording, Reason};
-use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
+use tcvae::demonstrations::manipulation::{ManipulationTask, Segment};
+use tcvae::demonstrations::quality::Quality;
+use tcvae::demonstrations::recording::{CutAt, Exclusion, GripperSource, JointRecording, Reason};
+use tcvae::demonstrations::{Demonstration, Splits, TaskConfig, pouring};
 use tcvae::kinematics::RobotRecord;
 use tcvae::kinematics::following::{FollowOptions, follow};
 use tcvae::trajectory::Motion;
@@ -56,11 +57,11 @@ pub(crate) fn load_robot(path: Option<&Path>) -> anyhow::Result<LoadedRobot> {
 pub(crate) fn load_task(path: Option<&Path>) -> anyhow::Result<TaskConfig> {
     match path {
         Some(path) => {
-            let task: TaskConfig = config::read(path).map_err(usage)?;
+            let task = config::task(path).map_err(usage)?;
             task.check().map_err(|e| UsageError(format!("{}: {e}", path.display())))?;
             Ok(task)
         }
-        None => Ok(TaskConfig::Pouring(PouringTask::default())),
+        None => Ok(TaskConfig::Manipulation(pouring::task())),
     }
 }
 
@@ -105,6 +106,8 @@ pub(crate) struct Examined {
     pub(crate) damage: Vec<String>,
     /// SHA-256 over what was read; empty where they can't be read.
     pub(crate) digest: String,
+    /// What is notable about it; none where it can't be read.
+    pub(crate) quality: Option<Quality>,
     /// The demonstration, or why there is none.
     pub(crate) outcome: Result<(Segment, Demonstration), Exclusion>,
 }
@@ -118,6 +121,7 @@ impl Examined {
             skipped: 0,
             damage: Vec::new(),
             digest: String::new(),
+            quality: None,
             outcome: Err(Exclusion::new(Reason::Unreadable, reason)),
         }
     }
@@ -127,7 +131,7 @@ impl Examined {
 #[derive(Debug)]
 pub(crate) struct Examination {
     pub(crate) robot: LoadedRobot,
-    pub(crate) task: PouringTask,
+    pub(crate) task: ManipulationTask,
     pub(crate) recordings: Vec<Examined>,
     /// Whether a simulator's truth lies beside any of the recordings.
     pub(crate) synthetic: bool,
@@ -142,7 +146,7 @@ impl Recordings {
     fn examine_for(&self, task: TaskConfig) -> anyhow::Result<Examination> {
         let robot = load_robot(self.robot.as_deref())?;
         let task = match task {
-            TaskConfig::Pouring(task) => task,
+            TaskConfig::Manipulation(task) => task,
             other => {
                 let name = other.task().name();
                 let reason = format!("the task {name} has no demonstrations in recordings");
@@ -157,7 +161,11 @@ impl Recordings {
         let mut seen = HashSet::new();
         found.retain(|recorded| seen.insert(recorded.place()));
         let synthetic = found.iter().any(|r| r.has_beside(super::simulate::TRUTH_FILE));
-        let channels = robot.config.channels();
+        let mut channels = robot.config.channels();
+        channels.points = task.locations.iter().filter_map(|l| l.topic.clone()).collect();
+        if let CutAt::Marker(topic) = &task.recording.cut_at {
+            channels.marker = Some(topic.clone());
+        }
         let examine = |(recorded, id): (&Recorded, String)| {
             let mut read = match recorded.read(&channels) {
                 Ok(read) => read,
@@ -175,6 +183,7 @@ impl Recordings {
                 skipped: if number == 0 { read.skipped } else { 0 },
                 damage: read.damage.clone(),
                 digest: read.digest.clone(),
+                quality: Some(task.quality(&piece, &robot.config, &robot.chain)),
                 outcome: task.demonstration(&piece, &robot.config, &robot.chain),
                 id: piece.id,
             };
@@ -329,7 +338,7 @@ impl Examination {
         }
         Data {
             robot: Some(RobotRecord::new(&robot.config.name, &robot.chain, robot.urdf_sha256)),
-            task: TaskConfig::Pouring(task),
+            task: TaskConfig::Manipulation(task),
             splits,
             digest: hex(digest),
             source: if synthetic { DataSource::Synthetic } else { DataSource::Recorded },
@@ -367,7 +376,7 @@ impl Examination {
                     counts.accepted += 1;
                     *counts.arms.entry(segment.arm.clone()).or_default() += 1;
                 }
-                Err(e) => *counts.excluded.entry(e.reason.to_string()).or_default() += 1,
+                Err(e) => *counts.excluded.entry(self.task.reason_name(e.reason)).or_default() += 1,
             }
         }
         counts

@@ -16,12 +16,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use tcvae::artifact::{self, Artifact, DataSource, Learned, ModelDocument, TcVaeDocument};
-use tcvae::demonstrations::arcs::ArcsTask;
 use tcvae::demonstrations::{Demonstration, Splits, TaskConfig};
 use tcvae::kinematics::RobotRecord;
 use tcvae::model::{Backend, Weights};
 use tcvae::parameters::{Interval, MannerSpace, TaskLocation, TaskSpace};
-use tcvae::pose::STATE_NAMES;
 use tcvae::primitives::{ClassicalConfig, DmpConfig, PrimitiveError, ProMpConfig, TpGmmConfig};
 use tcvae::training::sweep::{nested, overlay};
 use tcvae::training::{
@@ -307,13 +305,8 @@ impl Source {
         let Data { task, splits, digest, source, robot, summary } =
             recordings.data(None, copies)?;
         eprintln!("{summary}");
-        let (space, state_names, reference) = match &task {
-            TaskConfig::Pouring(task) => {
-                let names = STATE_NAMES.map(String::from).to_vec();
-                (task.task_space(), names, Some(task.state_frame().reference))
-            }
-            _ => (ArcsTask::task_space(), vec!["x".into(), "y".into()], None),
-        };
+        let (space, state_names) = (task.task().task_space(), task.state_names());
+        let reference = task.state_frame().map(|frame| frame.reference);
         Ok(Self {
             task_space: trained_region(&space, &splits.train),
             task,
@@ -328,7 +321,7 @@ impl Source {
 
     fn preset(&self) -> TrainingConfig {
         match &self.task {
-            TaskConfig::Pouring(_) => TrainingConfig::pouring(),
+            TaskConfig::Manipulation(task) => TrainingConfig::of_arm(&task.manner),
             _ => TrainingConfig::default(),
         }
     }
@@ -670,15 +663,15 @@ mod tests {
             seed: Some(5),
             ..args(&["epochs=4", "network.activation=relu", "beta=2"])
         };
-        let config = network_settings(&args, TrainingConfig::pouring()).unwrap();
-        let pouring = TrainingConfig::pouring();
+        let config = network_settings(&args, TrainingConfig::of_arm(&[])).unwrap();
+        let preset = TrainingConfig::of_arm(&[]);
         let network = tcvae::model::NetworkConfig {
             width: 16,
             activation: tcvae::model::Activation::Relu,
-            ..pouring.network
+            ..preset.network
         };
         let expected =
-            TrainingConfig { epochs: 4, batch: 32, seed: 5, beta: 2.0, network, ..pouring };
+            TrainingConfig { epochs: 4, batch: 32, seed: 5, beta: 2.0, network, ..preset };
         assert_eq!(config, expected);
     }
 

@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
 use tcvae::artifact::{Artifact, Learned};
-use tcvae::demonstrations::{Demonstration, TaskConfig};
+use tcvae::demonstrations::Demonstration;
 use tcvae::evaluation::ACTIVE_KL_NATS;
 use tcvae::parameters::{MannerParameters, TaskParameters};
 use tcvae::report::{
@@ -81,16 +81,18 @@ pub(super) fn draw(
                 paths_svg(&title, &traversals(artifact, &w, path), &plane)?
             }
             Shows::Tilts => {
-                let TaskConfig::Pouring(task) = &artifact.document.task else {
-                    anyhow::bail!("{name}: only a pour has a tilt; show paths");
+                let task = &artifact.document.task;
+                let Some((frame, threshold)) = task.state_frame().zip(task.tilt_threshold_deg())
+                else {
+                    anyhow::bail!("{name}: nothing is tilted in its task; show paths");
                 };
                 let plotted = |motion: Motion| PlottedMotion {
                     times_secs: (0..motion.states.steps())
                         .map(|i| i as f64 * motion.step_secs())
                         .collect(),
-                    base_from_tip: task.state_frame().poses(&motion.states),
+                    base_from_tip: frame.poses(&motion.states),
                 };
-                tilts_svg(&title, &traversals(artifact, &w, plotted), task.pour_tilt_deg)?
+                tilts_svg(&title, &traversals(artifact, &w, plotted), threshold)?
             }
             Shows::Locations => unreachable!("drawn above"),
         };
