@@ -5,10 +5,12 @@
 //! where the bag has an index. A folder is read by its files: `metadata.yaml` may be missing. What is
 //! damaged is left out and told; what comes before the damage is kept.
 
+pub mod definitions;
 mod mcap_file;
 mod message;
 mod ros1_file;
 mod sqlite;
+pub mod writer;
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
