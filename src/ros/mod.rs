@@ -12,6 +12,7 @@ pub mod names;
 pub mod node;
 pub mod parameters;
 pub mod participant;
+pub mod recorder;
 pub mod state;
 pub mod wiring;
 pub mod yaml;

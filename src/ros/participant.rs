@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr};
 
 use ros2_client::{Context, CreateError};
-use rustdds::DomainParticipantBuilder;
+use rustdds::{DomainParticipant, DomainParticipantBuilder};
 
 use super::environment::{DiscoveryRange, Environment};
 
@@ -41,6 +41,16 @@ pub enum ParticipantError {
 /// When no participant id is free, or the network can't be used.
 pub fn join(environment: &Environment) -> Result<Context, ParticipantError> {
     let domain = environment.domain;
+    Context::from_domain_participant(enter(environment)?)
+        .map_err(|e: CreateError| ParticipantError::Other { domain, reason: e.to_string() })
+}
+
+/// Joins the domain of the environment, for who speaks DDS there.
+///
+/// # Errors
+/// As [`join`].
+pub fn enter(environment: &Environment) -> Result<DomainParticipant, ParticipantError> {
+    let domain = environment.domain;
     let mut builder = DomainParticipantBuilder::new(domain);
     match environment.range {
         DiscoveryRange::Subnet => {}
@@ -51,15 +61,13 @@ pub fn join(environment: &Environment) -> Result<Context, ParticipantError> {
             builder = builder.with_only_networks(Vec::<IpAddr>::new()).same_host_loopback(false);
         }
     }
-    let other = |reason: String| ParticipantError::Other { domain, reason };
-    let participant = builder.build().map_err(|e| match e {
+    builder.build().map_err(|e| match e {
         rustdds::dds::CreateError::OutOfResources { .. } => {
             let (first, last) = ports(domain);
             ParticipantError::NoneFree { domain, first, last }
         }
-        e => other(e.to_string()),
-    })?;
-    Context::from_domain_participant(participant).map_err(|e: CreateError| other(e.to_string()))
+        e => ParticipantError::Other { domain, reason: e.to_string() },
+    })
 }
 
 /// The unicast ports of a domain: discovery of participant 0 to data of participant 119
