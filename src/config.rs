@@ -101,6 +101,8 @@ pub struct LoadedRobot {
     pub config: RobotConfig,
     /// From the base frame to the tip link.
     pub chain: Chain,
+    /// Its description, as it was read.
+    pub urdf: String,
     /// SHA-256 over the URDF.
     pub urdf_sha256: String,
 }
@@ -139,7 +141,7 @@ pub fn robot<E: Display>(
         );
         return Err(content(&from, &detail));
     }
-    Ok(LoadedRobot { urdf_sha256: hex(&Sha256::digest(urdf.as_bytes())), config, chain })
+    Ok(LoadedRobot { urdf_sha256: hex(&Sha256::digest(urdf.as_bytes())), config, chain, urdf })
 }
 
 fn read_text(path: &Path) -> Result<String, ConfigError> {

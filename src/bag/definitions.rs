@@ -26,6 +26,7 @@ fn known(name: &str) -> Option<String> {
         }
         ("geometry_msgs", "Wrench") => "Vector3 force\nVector3 torque\n",
         ("geometry_msgs", "WrenchStamped") => "std_msgs/Header header\nWrench wrench\n",
+        ("nav_msgs", "Path") => "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
         ("sensor_msgs", "JointState") => {
             "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
              float64[] effort\n"

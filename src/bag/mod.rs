@@ -8,6 +8,7 @@
 pub mod definitions;
 mod mcap_file;
 mod message;
+pub mod motions;
 mod ros1_file;
 mod sqlite;
 pub mod writer;

@@ -352,7 +352,7 @@ mod tests {
     }
 
     fn positions(path: &Path) -> Vec<Vec<f64>> {
-        let channels = Channels { joints: vec!["a".into()], grippers: vec![] };
+        let channels = Channels { joints: vec!["a".into()], ..Channels::default() };
         let bags = Bag::find(path).unwrap();
         assert_eq!(bags.len(), 1);
         bags[0].read(&channels).unwrap().recording.positions

@@ -8,7 +8,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use verbs::{ExitStatus, evaluate, inspect, print_json, report, sample, simulate, sweep, train};
+use verbs::{
+    ExitStatus, evaluate, export, inspect, print_json, report, sample, simulate, sweep, train,
+};
 
 /// Learns movement primitives from demonstrations, and measures them.
 #[derive(Debug, Parser)]
@@ -38,6 +40,8 @@ enum Verb {
     Report(report::ReportArgs),
     /// Show what is in recordings, and why something is left out
     Inspect(inspect::InspectArgs),
+    /// Write the training set as a table or as a recording, for other programs
+    Export(export::ExportArgs),
 }
 
 impl Verb {
@@ -50,6 +54,7 @@ impl Verb {
             Self::Evaluate(args) => args.json,
             Self::Report(args) => args.json,
             Self::Inspect(args) => args.json,
+            Self::Export(args) => args.json,
         }
     }
 
@@ -62,6 +67,7 @@ impl Verb {
             Self::Evaluate(args) => evaluate::run(args),
             Self::Report(args) => report::run(args),
             Self::Inspect(args) => inspect::run(args),
+            Self::Export(args) => export::run(args),
         }
     }
 }

@@ -29,6 +29,12 @@ pub struct Splits {
 }
 
 impl Splits {
+    /// The parts with their names.
+    pub fn parts(&self) -> [(&'static str, &[Demonstration]); 3] {
+        let Self { train, validation, test } = self;
+        [("train", train), ("validation", validation), ("test", test)]
+    }
+
     /// The paper's proportions of 208 demonstrations: 124 to train on, 42 to validate on and 42 to
     /// test on, drawn at random. With fewer than five, everything is trained on.
     pub fn random<R: Rng + ?Sized>(mut demonstrations: Vec<Demonstration>, rng: &mut R) -> Self {

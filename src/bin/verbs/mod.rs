@@ -1,6 +1,7 @@
 //! The program's verbs, one module each, and what they share.
 
 pub(crate) mod evaluate;
+pub(crate) mod export;
 pub(crate) mod inspect;
 mod metrics;
 mod recorded;
@@ -11,7 +12,7 @@ pub(crate) mod sources;
 pub(crate) mod sweep;
 pub(crate) mod train;
 
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -59,13 +60,23 @@ pub(crate) fn print_json(answer: &impl Serialize) {
 
 /// Writes a file beside its place first, so that no one reads half of it.
 pub(crate) fn write_whole(path: &Path, text: &str) -> anyhow::Result<()> {
+    write_with(path, |file| Ok(file.write_all(text.as_bytes())?))
+}
+
+/// Writes a file bit by bit, likewise.
+pub(crate) fn write_with(
+    path: &Path,
+    content: impl FnOnce(&mut dyn Write) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
     let refused = |e: std::io::Error| UsageError(format!("writing {}: {e}", path.display()));
     let folder = match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
     let file = tempfile::NamedTempFile::new_in(folder).map_err(refused)?;
-    std::fs::write(file.path(), text).map_err(refused)?;
+    let mut buffer = BufWriter::new(file);
+    content(&mut buffer)?;
+    let file = buffer.into_inner().map_err(|e| refused(e.into_error()))?;
     file.persist(path).map_err(|e| refused(e.error))?;
     Ok(())
 }

@@ -10,12 +10,16 @@ use rand::rngs::ChaCha8Rng;
 use serde_json::{Value, json};
 
 use tcvae::artifact::Artifact;
+#[cfg(feature = "bag")]
+use tcvae::config::LoadedRobot;
 use tcvae::parameters::{MannerParameters, TaskParameters, TaskSpace};
 use tcvae::report::{PlottedLocation, PlottedMotion, motions_svg};
 use tcvae::serving::{
     ErrorCode, GivenLocation, MAX_COUNT, Refusal, Sample, SampleReply, SampleRequest, Settings,
 };
 
+#[cfg(feature = "bag")]
+use super::sources::load_robot;
 use super::{ExitStatus, UsageError, print_json, print_line, server, write_whole};
 
 /// Arguments of `tcvae sample`.
@@ -50,6 +54,10 @@ pub(crate) struct SampleArgs {
     /// Print the points as CSV: sample, time, joints, tip
     #[arg(long)]
     csv: bool,
+    /// Write the motions, one after the other, as a recording that Foxglove and `ros2 bag` play
+    #[cfg(feature = "bag")]
+    #[arg(long, value_name = "F.mcap")]
+    mcap: Option<PathBuf>,
     /// Draw the paths and the tilt over time into an SVG file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -99,6 +107,13 @@ pub(crate) fn run(args: SampleArgs) -> anyhow::Result<ExitStatus> {
     {
         let threshold = artifact.document.task.tilt_threshold_deg();
         plot(path, &args, &reply.samples, server.settings().tolerance_m, threshold)?;
+    }
+    #[cfg(feature = "bag")]
+    if let Some(path) = &args.mcap
+        && !reply.samples.is_empty()
+    {
+        let robot = load_robot(args.robot.as_deref())?;
+        write_mcap(path, &robot, &reply.samples)?;
     }
     if args.json {
         print_json(&reply_json(&reply));
@@ -263,6 +278,34 @@ fn table(reply: &SampleReply) {
             print_line(&format!("        {warning}"));
         }
     }
+}
+
+/// The motions as a recording, with the description that shows the robot's.
+#[cfg(feature = "bag")]
+fn write_mcap(path: &Path, robot: &LoadedRobot, samples: &[Sample]) -> anyhow::Result<()> {
+    use tcvae::bag::motions::{PlayedMotion, PlayedRobot, write_motions};
+    let motion = |sample: &Sample| {
+        let manner = sample.manner_names.iter().zip(&sample.manner_values);
+        let manner: serde_json::Map<_, _> =
+            manner.map(|(name, value)| (name.clone(), json!(value))).collect();
+        let about = json!({
+            "manner": manner, "task_error_m": sample.task_error, "seed": sample.seed,
+        });
+        PlayedMotion {
+            about: about.to_string(),
+            times_secs: sample.joint_trajectory.times_secs.clone(),
+            base_from_tip: sample.end_effector_trajectory.base_from_tip.clone(),
+            joint_positions: sample.joint_trajectory.positions.clone(),
+        }
+    };
+    let motions: Vec<_> = samples.iter().map(motion).collect();
+    let robot = PlayedRobot {
+        base_frame: robot.config.base_frame.clone(),
+        tip_frame: robot.config.tip_link.clone(),
+        joint_names: samples[0].joint_trajectory.joint_names.clone(),
+        description: Some(robot.urdf.clone()),
+    };
+    write_motions(path, &robot, &motions).map_err(|e| UsageError(e.to_string()).into())
 }
 
 fn plot(
