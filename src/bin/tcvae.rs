@@ -8,6 +8,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+#[cfg(all(feature = "ros", feature = "bag"))]
+use verbs::record;
 use verbs::{
     ExitStatus, evaluate, export, inspect, print_json, report, sample, simulate, sweep, train,
 };
@@ -42,6 +44,9 @@ enum Verb {
     Inspect(inspect::InspectArgs),
     /// Write the training set as a table or as a recording, for other programs
     Export(export::ExportArgs),
+    /// Record joint states and grippers from the ROS graph
+    #[cfg(all(feature = "ros", feature = "bag"))]
+    Record(record::RecordArgs),
 }
 
 impl Verb {
@@ -55,6 +60,8 @@ impl Verb {
             Self::Report(args) => args.json,
             Self::Inspect(args) => args.json,
             Self::Export(args) => args.json,
+            #[cfg(all(feature = "ros", feature = "bag"))]
+            Self::Record(args) => args.json,
         }
     }
 
@@ -68,6 +75,8 @@ impl Verb {
             Self::Report(args) => report::run(args),
             Self::Inspect(args) => inspect::run(args),
             Self::Export(args) => export::run(args),
+            #[cfg(all(feature = "ros", feature = "bag"))]
+            Self::Record(args) => record::run(args),
         }
     }
 }

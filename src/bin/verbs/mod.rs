@@ -4,6 +4,8 @@ pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod inspect;
 mod metrics;
+#[cfg(all(feature = "ros", feature = "bag"))]
+pub(crate) mod record;
 mod recorded;
 pub(crate) mod report;
 pub(crate) mod sample;

@@ -51,6 +51,10 @@ enum Primitive {
 
 /// Arguments of `tcvae train`.
 #[derive(Debug, Args)]
+#[cfg_attr(
+    all(feature = "ros", feature = "bag"),
+    command(mut_arg("paths", |paths| paths.required(false).required_unless_present("live")))
+)]
 pub(crate) struct TrainArgs {
     #[command(flatten)]
     recordings: Recordings,
@@ -79,9 +83,12 @@ pub(crate) struct TrainArgs {
     /// Print the answer as JSON
     #[arg(long)]
     pub(crate) json: bool,
+    #[cfg(all(feature = "ros", feature = "bag"))]
+    #[command(flatten)]
+    live: super::record::Live,
 }
 
-pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
+pub(crate) fn run(mut args: TrainArgs) -> anyhow::Result<ExitStatus> {
     // What can go wrong without learning anything goes wrong first.
     let copies = match args.primitive {
         Primitive::TcVae => Copies::Made,
@@ -92,12 +99,16 @@ pub(crate) fn run(args: TrainArgs) -> anyhow::Result<ExitStatus> {
     };
     let files = Files::beside(&args.output)?;
     let _folder = files.claim()?;
+    let live: Option<(PathBuf, Arc<AtomicBool>)> = None;
+    #[cfg(all(feature = "ros", feature = "bag"))]
+    let live = live.or(args.live.record(&args.output, args.recordings.robot.as_deref())?);
+    args.recordings.paths.extend(live.iter().map(|(file, _)| file.clone()));
     let source = Source::load(&args.recordings, copies)?;
     let began = Instant::now();
     let mut artifact = if args.primitive == Primitive::TcVae {
         let config = network_settings(&args, source.preset())?;
         let start = args.resume.then(|| files.checkpoint(&config, &source)).transpose()?;
-        let stop = stop_on_signal()?;
+        let stop = live.map_or_else(stop_on_signal, |(_, stop)| Ok(stop))?;
         match learn(&files, &source, &config, start, &stop)? {
             Some(artifact) => artifact,
             None => return Ok(ExitStatus::BelowAsked),
@@ -650,6 +661,8 @@ mod tests {
             backend: None,
             resume: false,
             json: false,
+            #[cfg(all(feature = "ros", feature = "bag"))]
+            live: Default::default(),
         }
     }
 
