@@ -37,7 +37,11 @@ fn recordings_become_a_model_file_that_says_all_about_itself() {
     let path = folder.path();
     let args = ["simulate", "pouring", "--seed", "6", "--count", "40", "-o", "data"];
     assert_eq!(tcvae(&args, path).status.code(), Some(0));
-    let task = "task = \"pouring\"\naugmentation = { train_copies = 57, validation_copies = 6 }\n";
+    let task = format!(
+        "based_on = \"{}/config/tasks/pour.toml\"\n\
+         augmentation = {{ train_copies = 57, validation_copies = 6 }}\n",
+        env!("CARGO_MANIFEST_DIR")
+    );
     fs::write(path.join("task.toml"), task).expect("written");
     for name in ["a.safetensors", "b.safetensors"] {
         let output = tcvae(&[TRAIN, &[name]].concat(), path);

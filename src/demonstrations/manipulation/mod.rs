@@ -814,7 +814,7 @@ pub(super) mod tests {
         }
         let motion = Motion { states: frame.trajectory(&poses), duration_secs: 9.9 };
         let error = task.empirical_task(&motion).unwrap_err();
-        assert_eq!(error.to_string(), "it is carried 0.030 m of the 0.05 m that are a stack");
+        assert_eq!(error.to_string(), "it is carried 0.030 m of the 0.1 m that are a stack");
         assert!(task.factors(&motion).is_empty() && task.events(&motion).is_empty());
         assert!(names(&task.violations(&motion)).contains(&"action.least_m"));
     }

@@ -48,7 +48,7 @@ impl Stack {
             clock += rng.random_range(0.5..1.2);
             plan.gripper_changes.push(clock);
             let angle = rng.random_range(0.0..std::f64::consts::TAU);
-            let length = rng.random_range(0.10..0.16);
+            let length = rng.random_range(0.13..0.18);
             let elsewhere = Vector3::new(length * angle.cos(), length * angle.sin(), -way.z);
             plan.way = angle;
             let again = carry(&mut plan, clock, elsewhere, scene.lift, &manner, rng);
