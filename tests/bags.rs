@@ -137,6 +137,149 @@ fn a_bag_that_is_none_and_one_without_joint_states_say_so() {
     assert!(told.ends_with("; a are looked for"), "{told}");
 }
 
+/// A bag with the messages of another, edited: the time of the log and of publishing, and the data.
+fn rewritten(name: &str, edit: impl Fn(u64, &[u8]) -> (u64, u64, Vec<u8>)) -> tempfile::TempDir {
+    let bytes = fs::read(folder().join(name)).unwrap();
+    let target = tempfile::tempdir().unwrap();
+    let mut writer =
+        mcap::Writer::new(fs::File::create(target.path().join("edited.mcap")).unwrap()).unwrap();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        let (log_time, publish_time, data) = edit(message.log_time, &message.data);
+        writer
+            .write(&mcap::Message { log_time, publish_time, data: data.into(), ..message })
+            .unwrap();
+    }
+    writer
+        .attach(&mcap::Attachment {
+            log_time: 1,
+            create_time: 1,
+            name: "calibration".into(),
+            media_type: "text/plain".into(),
+            data: b"0".repeat(10_000).into(),
+        })
+        .unwrap();
+    writer.finish().unwrap();
+    target
+}
+
+#[test]
+fn messages_that_rosbag2_compressed_one_by_one_are_read_in_mcap_too() {
+    let folder =
+        rewritten("plain.mcap", |log, data| (log, log, zstd::encode_all(data, 3).unwrap()));
+    let BagRecording { recording, skipped, damage, .. } = read(&folder.path().join("edited.mcap"));
+    let whole = read(&self::folder().join("plain.mcap")).recording;
+    assert_eq!((recording.positions, recording.times_secs), (whole.positions, whole.times_secs));
+    assert_eq!((skipped, damage), (0, Vec::new()));
+}
+
+#[test]
+fn without_times_of_the_log_those_of_publishing_count_or_else_the_stamps() {
+    let whole = read(&folder().join("plain.mcap")).recording;
+    for publishes in [true, false] {
+        let edit = |log, data: &[u8]| (0, if publishes { log } else { 0 }, data.to_vec());
+        let folder = rewritten("plain.mcap", edit);
+        let recording = read(&folder.path().join("edited.mcap")).recording;
+        assert_eq!(recording.times_secs, whole.times_secs, "{publishes}");
+        assert_eq!(recording.positions, whole.positions, "{publishes}");
+    }
+}
+
+#[test]
+fn metadata_says_which_files_are_one_recording_and_what_is_missing_of_it() {
+    let target = tempfile::tempdir().unwrap();
+    let path = target.path().join("session");
+    fs::create_dir(&path).unwrap();
+    for part in 0..3 {
+        let from = folder().join(format!("sqlite_split/sqlite_split_{part}.db3"));
+        fs::copy(from, path.join(["z.db3", "b.db3", "c.db3"][part])).unwrap();
+    }
+    let write = |names: &[&str]| {
+        let names: String = names.iter().map(|name| format!("    - {name}\n")).collect();
+        let text = format!("rosbag2_bagfile_information:\n  relative_file_paths:\n{names}  a: b\n");
+        fs::write(path.join("metadata.yaml"), text).unwrap();
+    };
+    write(&["z.db3", "session/b.db3", "c.db3"]);
+    let whole = read(&folder().join("sqlite_split"));
+    let BagRecording { recording, damage, digest, .. } = read(&path);
+    assert_eq!((&recording.positions, damage), (&whole.recording.positions, Vec::new()));
+    assert_eq!(digest, whole.digest, "in the order of metadata.yaml");
+
+    // What it does not name is another recording, and what is not there is told.
+    write(&["z.db3", "a.db3.zstd", "b.db3.zstd"]);
+    let bags = Bag::find(&path).unwrap();
+    let files: Vec<_> = bags.iter().map(|bag| bag.files.len()).collect();
+    assert_eq!(files, [2, 1], "{bags:?}");
+    let damage = bags[0].read(&channels()).unwrap().damage;
+    assert_eq!(damage[0], "metadata.yaml names a.db3.zstd, which is not there");
+    fs::remove_file(path.join("metadata.yaml")).unwrap();
+    assert_eq!(Bag::find(&path).unwrap().len(), 3);
+}
+
+#[test]
+fn a_database_that_was_not_closed_is_read_with_its_log() {
+    let (_folder, path) = edited("sqlite/sqlite.db3", |_| {});
+    let whole = read(&path).recording;
+    let writer = rusqlite::Connection::open(&path).unwrap();
+    writer.pragma_update(None, "journal_mode", "WAL").unwrap();
+    writer.pragma_update(None, "wal_autocheckpoint", 0).unwrap();
+    let copied = writer
+        .execute(
+            "INSERT INTO messages (topic_id, timestamp, data)
+             SELECT topic_id, timestamp + 1, data FROM messages",
+            [],
+        )
+        .unwrap();
+    let log = path.with_extension("db3-wal");
+    assert!(fs::metadata(&log).unwrap().len() > 10_000, "the rows are in the log alone");
+    // As a crash leaves it, and while it is written to.
+    let crashed = tempfile::tempdir().unwrap();
+    let copy = crashed.path().join("sqlite.db3");
+    fs::copy(&path, &copy).unwrap();
+    fs::copy(&log, copy.with_extension("db3-wal")).unwrap();
+    for path in [&path, &copy] {
+        let BagRecording { recording, messages, skipped, .. } = read(path);
+        assert_eq!(recording.positions, whole.positions);
+        // Its own table has the rows of the camera too.
+        assert!(skipped > 0 && messages < 2 * copied, "{messages} of {copied}");
+        assert_eq!(messages, 2 * (expected().states.len() + expected().numbers.len()));
+    }
+}
+
+#[test]
+fn a_database_of_which_a_query_would_not_end_is_refused() {
+    let (_folder, path) = edited("sqlite/sqlite.db3", |_| {});
+    let connection = rusqlite::Connection::open(&path).unwrap();
+    connection
+        .execute_batch(
+            "ALTER TABLE messages RENAME TO others;
+             CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n)
+             SELECT id, 1 AS topic_id, 5 AS timestamp, x'00' AS data FROM n;",
+        )
+        .unwrap();
+    drop(connection);
+    let told = Bag::find(&path).unwrap()[0].read(&channels()).unwrap_err().to_string();
+    assert!(told.ends_with("it has no table \"messages\", which rosbag2 writes"), "{told}");
+}
+
+#[cfg(unix)]
+#[test]
+fn links_in_circles_are_followed_once_and_pipes_are_no_bags() {
+    use std::os::unix::fs::symlink;
+    let target = tempfile::tempdir().unwrap();
+    let path = target.path();
+    fs::copy(folder().join("zstd.mcap"), path.join("one.mcap")).unwrap();
+    for i in 0..60 {
+        symlink(".", path.join(format!("again{i}"))).unwrap();
+    }
+    symlink("nowhere", path.join("gone.mcap")).unwrap();
+    let pipe = path.join("pipe.mcap");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let found = Bag::find(path).unwrap();
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!(Bag::find(&pipe).unwrap(), []);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 

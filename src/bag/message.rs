@@ -103,15 +103,22 @@ pub(super) fn take(
             let (secs, nanos) = (fields.u32()?.cast_signed(), fields.u32()?);
             let stamp = i64::from(secs) * 1_000_000_000 + i64::from(nanos);
             fields.text()?; // frame_id
-            let names = fields.texts()?;
+            // A text has at least its length.
+            let names = fields.count(4)?;
+            let mut texts = fields.clone();
+            for _ in 0..names {
+                fields.text()?;
+            }
             let positions = fields.f64s()?;
             // Some publishers leave out what they don't know, but then all of it.
-            if !positions.is_empty() && positions.len() != names.len() {
-                let (names, positions) = (names.len(), positions.len());
+            if positions.len() != 0 && positions.len() != names {
+                let positions = positions.len();
                 return Err(MessageError::Lengths { names, positions });
             }
             let time = MessageTime { log_nanos, stamp_nanos: (stamp != 0).then_some(stamp) };
-            messages.joint_states(topic, time, &names, &positions);
+            // Read once more rather than kept: a message may hold millions of names.
+            let angles = positions.map_while(|position| Some((texts.text().ok()?, position)));
+            messages.joint_states(topic, time, angles);
         }
         Content::Number(number) => {
             let value = fields.number(number)?;
@@ -122,6 +129,7 @@ pub(super) fn take(
 }
 
 /// A message's fields, one after another.
+#[derive(Clone)]
 struct Fields<'a> {
     /// From the first byte that alignment counts from.
     data: &'a [u8],
@@ -197,15 +205,18 @@ impl<'a> Fields<'a> {
         std::str::from_utf8(bytes).map_err(|_| MessageError::Text)
     }
 
-    fn texts(&mut self) -> Result<Vec<String>, MessageError> {
-        // A text has at least its length.
-        let count = self.count(4)?;
-        (0..count).map(|_| Ok(self.text()?.to_owned())).collect()
-    }
-
-    fn f64s(&mut self) -> Result<Vec<f64>, MessageError> {
+    fn f64s(&mut self) -> Result<impl ExactSizeIterator<Item = f64> + use<'a>, MessageError> {
         let count = self.count(8)?;
-        (0..count).map(|_| Ok(f64::from_le_bytes(self.value()?))).collect()
+        if count > 0 && self.encoding == Encoding::Cdr {
+            self.at = self.at.next_multiple_of(8);
+        }
+        let big_endian = self.big_endian;
+        let (values, _) = self.bytes(8 * count)?.as_chunks::<8>();
+        let value = move |bytes: &[u8; 8]| match big_endian {
+            true => f64::from_be_bytes(*bytes),
+            false => f64::from_le_bytes(*bytes),
+        };
+        Ok(values.iter().map(value))
     }
 
     fn number(&mut self, number: Number) -> Result<f64, MessageError> {

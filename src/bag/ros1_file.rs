@@ -61,6 +61,9 @@ pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(),
     // A bag that was not closed has no index, and one that is damaged may have a wrong one.
     if let Ok(Some(chunks)) = bag.chunks_of_index(index, reading, &mut connections) {
         for at in chunks {
+            if reading.is_full() {
+                break;
+            }
             bag.file.seek(SeekFrom::Start(at))?;
             let record = bag.next()?.ok_or(Ros1Error::End)?;
             if record.header.op()? != op::CHUNK {
@@ -72,7 +75,9 @@ pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(),
         return Ok(());
     }
     bag.file.seek(SeekFrom::Start(chunks_at))?;
-    while let Some(record) = bag.next()? {
+    while let Some(record) = bag.next()?
+        && !reading.is_full()
+    {
         match record.header.op()? {
             op::CHUNK => {
                 let data = bag.data(&record)?;

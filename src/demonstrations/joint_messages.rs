@@ -18,6 +18,19 @@ const SPAN_SHARE: f64 = 0.1;
 /// Names of joints that nobody asks for which are kept, to tell what there is instead.
 const OTHER_JOINTS: usize = 64;
 
+/// Characters of such a name that are kept.
+const OTHER_JOINT_CHARS: usize = 80;
+
+/// Numbers of 8 bytes that are kept of a recording: 256 MiB, five hours of two arms at 100 Hz or fifty
+/// minutes of one at 1 kHz.
+const ROOM: usize = 1 << 25;
+
+/// Numbers that a message takes beside its values: its two times.
+const NUMBERS_PER_MESSAGE: usize = size_of::<MessageTime>() / size_of::<f64>();
+
+/// Numbers that a publisher takes beside its messages and its name.
+const NUMBERS_PER_PUBLISHER: usize = 32;
+
 /// When a message was sent, in nanoseconds of two clocks that need not agree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MessageTime {
@@ -27,25 +40,35 @@ pub struct MessageTime {
     pub stamp_nanos: Option<i64>,
 }
 
-/// Messages of a recording, as they are read.
+/// Messages of a recording, as they are read. Only values that are asked for are kept, and of these only
+/// so many: a recording without an end takes no memory without an end.
 #[derive(Debug)]
 pub struct JointMessages<'a> {
     channels: &'a Channels,
-    /// When each publisher sent its messages.
-    publishers: BTreeMap<String, Vec<MessageTime>>,
-    /// What each publisher said of each joint, rad.
-    joints: Vec<BTreeMap<String, Track>>,
-    /// What each publisher said of each gripper, per cent open.
-    grippers: Vec<BTreeMap<String, Track>>,
+    publishers: BTreeMap<String, Publisher>,
     other_joints: BTreeSet<String>,
     not_finite: usize,
+    /// Numbers that may still be kept.
+    room: usize,
+    is_full: bool,
 }
 
-/// What one publisher said of one thing: numbers of its messages, and the values in them.
-#[derive(Debug, Clone, Default)]
-struct Track {
-    messages: Vec<usize>,
+/// What one publisher said: the times of its messages, and a row of values for each.
+#[derive(Debug, Default)]
+struct Publisher {
+    times: Vec<MessageTime>,
+    /// What it spoke of so far: a joint, or, after the joints, a gripper.
+    columns: Vec<Column>,
+    /// Row by row: rad of a joint, per cent open of a gripper; NaN of what a message did not tell.
     values: Vec<f64>,
+}
+
+/// One thing that a publisher speaks of.
+#[derive(Debug)]
+struct Column {
+    channel: usize,
+    /// Messages that tell it.
+    told: usize,
 }
 
 /// A recording, and what was left out of it.
@@ -66,55 +89,88 @@ pub struct Assembled {
 impl<'a> JointMessages<'a> {
     /// No message so far.
     pub fn new(channels: &'a Channels) -> Self {
-        let tracks = |count| vec![BTreeMap::new(); count];
-        let (joints, grippers) = (tracks(channels.joints.len()), tracks(channels.grippers.len()));
-        let (publishers, other_joints) = (BTreeMap::new(), BTreeSet::new());
-        Self { channels, publishers, joints, grippers, other_joints, not_finite: 0 }
+        Self::with_room(channels, ROOM)
     }
 
-    /// Takes the angles of one message; those of joints that are not asked for are left out.
-    pub fn joint_states(
+    /// No message so far, and room for that many numbers.
+    fn with_room(channels: &'a Channels, room: usize) -> Self {
+        let (publishers, other_joints) = (BTreeMap::new(), BTreeSet::new());
+        Self { channels, publishers, other_joints, not_finite: 0, room, is_full: false }
+    }
+
+    /// Whether a message found no room: that one and those after it are left out.
+    pub fn is_full(&self) -> bool {
+        self.is_full
+    }
+
+    /// Takes the angles of one message, by the names of their joints; those of joints that are not asked
+    /// for are left out. Of a name that stands twice the first counts.
+    pub fn joint_states<'n>(
         &mut self,
         publisher: &str,
         time: MessageTime,
-        names: &[String],
-        positions: &[f64],
+        angles: impl IntoIterator<Item = (&'n str, f64)>,
     ) {
-        let message = self.message(publisher, time);
-        for (name, &value) in names.iter().zip(positions) {
-            if let Some(i) = self.channels.joints.iter().position(|joint| joint == name) {
-                self.not_finite += push(&mut self.joints[i], publisher, message, value);
-            } else if self.other_joints.len() < OTHER_JOINTS && !self.other_joints.contains(name) {
-                self.other_joints.insert(name.clone());
+        let Channels { joints, grippers } = self.channels;
+        let mut told = Vec::with_capacity(joints.len() + grippers.len());
+        let mut is_told = vec![false; joints.len() + grippers.len()];
+        let mut tell = |channel: usize, value: f64| {
+            if !std::mem::replace(&mut is_told[channel], true) {
+                told.push((channel, value));
             }
-            for (i, gripper) in self.channels.grippers.iter().enumerate() {
-                if gripper.source.joint.as_ref() == Some(name) {
-                    let percent = gripper.source.percent_open(value);
-                    self.not_finite += push(&mut self.grippers[i], publisher, message, percent);
+        };
+        for (name, value) in angles {
+            if let Some(i) = joints.iter().position(|joint| joint == name) {
+                tell(i, value);
+            } else if self.other_joints.len() < OTHER_JOINTS {
+                let name: String = name.chars().take(OTHER_JOINT_CHARS).collect();
+                self.other_joints.insert(name);
+            }
+            for (i, gripper) in grippers.iter().enumerate() {
+                if gripper.source.joint.as_deref() == Some(name) {
+                    tell(joints.len() + i, gripper.source.percent_open(value));
                 }
             }
         }
+        self.take(publisher, time, &told);
     }
 
     /// Takes what a topic says of the grippers whose topic it is.
     pub fn gripper(&mut self, topic: &str, time: MessageTime, value: f64) {
-        let message = self.message(topic, time);
-        for (i, gripper) in self.channels.grippers.iter().enumerate() {
-            if gripper.source.topic.as_deref() == Some(topic) {
-                let percent = gripper.source.percent_open(value);
-                self.not_finite += push(&mut self.grippers[i], topic, message, percent);
-            }
-        }
+        let Channels { joints, grippers } = self.channels;
+        let of_topic = grippers.iter().enumerate().filter_map(|(i, gripper)| {
+            let is_its = gripper.source.topic.as_deref() == Some(topic);
+            is_its.then(|| (joints.len() + i, gripper.source.percent_open(value)))
+        });
+        self.take(topic, time, &of_topic.collect::<Vec<_>>());
     }
 
-    /// Notes a message and returns its number.
-    fn message(&mut self, publisher: &str, time: MessageTime) -> usize {
-        if !self.publishers.contains_key(publisher) {
-            self.publishers.insert(publisher.into(), Vec::new());
+    /// Keeps the values of a message.
+    fn take(&mut self, publisher: &str, time: MessageTime, told: &[(usize, f64)]) {
+        let finite = || told.iter().filter(|(_, value)| value.is_finite());
+        self.not_finite += told.len() - finite().count();
+        if finite().count() == 0 || self.is_full {
+            return;
         }
-        let times = self.publishers.get_mut(publisher).expect("just inserted");
-        times.push(time);
-        times.len() - 1
+        let known = self.publishers.get(publisher);
+        let new_columns = match known {
+            Some(publisher) => finite().filter(|(c, _)| publisher.column(*c).is_none()).count(),
+            None => finite().count(),
+        };
+        let (rows, columns) = known.map_or((0, 0), |p| (p.times.len(), p.columns.len()));
+        let of_publisher = NUMBERS_PER_PUBLISHER + publisher.len() / size_of::<f64>();
+        let needed = new_columns * rows
+            + (NUMBERS_PER_MESSAGE + columns + new_columns)
+            + if known.is_none() { of_publisher } else { 0 };
+        let Some(left) = self.room.checked_sub(needed) else {
+            self.is_full = true;
+            return;
+        };
+        self.room = left;
+        if known.is_none() {
+            self.publishers.insert(publisher.into(), Publisher::default());
+        }
+        self.publishers.get_mut(publisher).expect("just inserted").push(time, finite());
     }
 
     /// The recording that the messages make. Its frames are at the times of the joint that was heard of
@@ -122,73 +178,117 @@ impl<'a> JointMessages<'a> {
     /// messages in proportion, grippers as last heard. Where several publishers speak of a joint, the
     /// one that says most of it counts. Joints and grippers that nobody speaks of are not in it.
     pub fn assemble(&self, id: &str) -> Assembled {
-        let clocks: BTreeMap<&str, Vec<i64>> =
-            self.publishers.iter().map(|(name, times)| (name.as_str(), clock(times))).collect();
-        let series = |tracks: &BTreeMap<String, Track>| {
-            let (publisher, track) = tracks.iter().max_by_key(|(_, t)| t.values.len())?;
-            Some(Series::new(&clocks[publisher.as_str()], track))
+        // Across publishers nothing but the log tells what was at the same time; if it tells no time, the
+        // stamps must be of one clock.
+        let mut logged = self.publishers.values().flat_map(|p| &p.times).map(|t| t.log_nanos);
+        let first_logged = logged.next();
+        let log_runs = logged.any(|nanos| Some(nanos) != first_logged);
+        let ordered: BTreeMap<&str, Vec<(i64, usize)>> = self
+            .publishers
+            .iter()
+            .map(|(name, publisher)| {
+                let clock = clock(&publisher.times, log_runs);
+                let mut order: Vec<_> = clock.into_iter().zip(0..).collect();
+                order.sort_unstable();
+                (name.as_str(), order)
+            })
+            .collect();
+        let series = |channel: usize| {
+            let by_publisher = self.publishers.iter().filter_map(|(name, publisher)| {
+                Some((name, publisher, publisher.column(channel)?))
+            });
+            let (name, publisher, column) = by_publisher
+                .max_by_key(|(_, publisher, column)| publisher.columns[*column].told)?;
+            Some(Series::new(&ordered[name.as_str()], publisher, column))
         };
-        let heard = self.channels.joints.iter().zip(&self.joints);
-        let joints: Vec<(&String, Series)> =
-            heard.filter_map(|(name, tracks)| Some((name, series(tracks)?))).collect();
-        let first = joints.iter().map(|(_, s)| s.nanos[0]).max().unwrap_or(0);
-        let last = joints.iter().map(|(_, s)| s.nanos[s.nanos.len() - 1]).min().unwrap_or(0);
-        let most = joints.iter().max_by_key(|(_, series)| series.nanos.len());
-        let within = |nanos: &i64| (first..=last).contains(nanos);
-        let frames: Vec<i64> = most.map_or_else(Vec::new, |(_, series)| {
-            series.nanos.iter().copied().filter(within).collect()
-        });
-        let columns: Vec<Vec<f64>> = joints.iter().map(|(_, s)| s.in_proportion(&frames)).collect();
-        let grippers = self.channels.grippers.iter().zip(&self.grippers);
-        let grippers = grippers.filter_map(|(gripper, tracks)| {
-            let percent_open = series(tracks)?.as_last_heard(&frames);
+        let joint_count = self.channels.joints.len();
+        let joints: Vec<usize> =
+            (0..joint_count).filter(|&joint| series(joint).is_some()).collect();
+        let (mut first, mut last) = (i64::MIN, i64::MAX);
+        let mut most: Option<Series> = None;
+        for &joint in &joints {
+            let series = series(joint).expect("one that is spoken of");
+            first = first.max(series.nanos[0]);
+            last = last.min(series.nanos[series.nanos.len() - 1]);
+            if most.as_ref().is_none_or(|most| series.nanos.len() >= most.nanos.len()) {
+                most = Some(series);
+            }
+        }
+        let (all, doubled) = most.as_ref().map_or((0, 0), |m| (m.nanos.len(), m.doubled));
+        let mut frames = most.map_or_else(Vec::new, |most| most.nanos);
+        frames.retain(|nanos| (first..=last).contains(nanos));
+        let mut positions = vec![Vec::with_capacity(joints.len()); frames.len()];
+        // Joint by joint, so that no more than one is there twice.
+        for &joint in &joints {
+            let column = series(joint).expect("one that is spoken of").in_proportion(&frames);
+            positions.iter_mut().zip(column).for_each(|(frame, value)| frame.push(value));
+        }
+        let grippers = self.channels.grippers.iter().enumerate().filter_map(|(i, gripper)| {
+            let percent_open = series(joint_count + i)?.as_last_heard(&frames);
             Some(GripperRecording { name: gripper.name.clone(), percent_open })
         });
         let recording = JointRecording {
             id: id.into(),
-            times_secs: frames.iter().map(|t| nanos_between(frames[0], *t) * 1e-9).collect(),
-            positions: (0..frames.len())
-                .map(|i| columns.iter().map(|column| column[i]).collect())
-                .collect(),
             grippers: grippers.collect(),
-            joint_names: joints.iter().map(|(name, _)| (*name).clone()).collect(),
+            times_secs: frames.iter().map(|t| nanos_between(frames[0], *t) * 1e-9).collect(),
+            positions,
+            joint_names: joints.iter().map(|&joint| self.channels.joints[joint].clone()).collect(),
             points: Vec::new(),
             marks_secs: Vec::new(),
         };
-        let doubled = most.map_or(0, |(_, series)| series.doubled);
-        let incomplete = most.map_or(0, |(_, series)| series.nanos.len() - frames.len());
+        let incomplete = all - frames.len();
         let other_joints = self.other_joints.iter().cloned().collect();
         let not_finite = self.not_finite;
         Assembled { recording, other_joints, not_finite, doubled, incomplete }
     }
 }
 
-/// Adds a value to what a publisher said; 1 where it is no finite number.
-fn push(
-    tracks: &mut BTreeMap<String, Track>,
-    publisher: &str,
-    message: usize,
-    value: f64,
-) -> usize {
-    if !value.is_finite() {
-        return 1;
+impl Publisher {
+    /// The place of a channel in the rows.
+    fn column(&self, channel: usize) -> Option<usize> {
+        self.columns.iter().position(|column| column.channel == channel)
     }
-    if !tracks.contains_key(publisher) {
-        tracks.insert(publisher.into(), Track::default());
+
+    /// Adds a message.
+    fn push<'v>(
+        &mut self,
+        time: MessageTime,
+        told: impl Iterator<Item = &'v (usize, f64)> + Clone,
+    ) {
+        let before = self.columns.len();
+        for (channel, _) in told.clone() {
+            if self.column(*channel).is_none() {
+                self.columns.push(Column { channel: *channel, told: 0 });
+            }
+        }
+        let width = self.columns.len();
+        if width > before && before > 0 {
+            let rows = self.values.chunks(before);
+            let not_told = std::iter::repeat_n(f64::NAN, width - before);
+            self.values =
+                rows.flat_map(|row| row.iter().copied().chain(not_told.clone())).collect();
+        }
+        let start = self.values.len();
+        self.values.resize(start + width, f64::NAN);
+        for (channel, value) in told {
+            let column = self.column(*channel).expect("just added");
+            self.columns[column].told += 1;
+            self.values[start + column] = *value;
+        }
+        self.times.push(time);
     }
-    let track = tracks.get_mut(publisher).expect("just inserted");
-    track.messages.push(message);
-    track.values.push(value);
-    0
 }
 
-/// When each message was sent, on the log's clock.
-fn clock(times: &[MessageTime]) -> Vec<i64> {
+/// When each message was sent, on the log's clock, or where that does not run on the stamps'.
+fn clock(times: &[MessageTime], log_runs: bool) -> Vec<i64> {
     let logged = || times.iter().map(|time| time.log_nanos);
     let stamps: Option<Vec<i64>> = times.iter().map(|time| time.stamp_nanos).collect();
     let Some(stamps) = stamps.filter(|stamps| !stamps.is_empty()) else {
         return logged().collect();
     };
+    if !log_runs {
+        return stamps;
+    }
     let span = |first: Option<i64>, last: Option<i64>| match (first, last) {
         (Some(first), Some(last)) => last.saturating_sub(first),
         _ => 0,
@@ -220,16 +320,19 @@ struct Series {
 }
 
 impl Series {
-    /// A track, which has at least one value, on its publisher's clock. Of values at the same time the
-    /// first counts.
-    fn new(clock: &[i64], track: &Track) -> Self {
-        let heard = track.messages.iter().map(|&message| clock[message]);
-        let mut pairs: Vec<(i64, f64)> = heard.zip(track.values.iter().copied()).collect();
-        pairs.sort_by_key(|(nanos, _)| *nanos);
-        let all = pairs.len();
-        pairs.dedup_by_key(|(nanos, _)| *nanos);
-        let doubled = all - pairs.len();
-        let (nanos, values) = pairs.into_iter().unzip();
+    /// A publisher's column, which has at least one value, in the order of its messages' times. Of values
+    /// at the same time the first counts.
+    fn new(order: &[(i64, usize)], publisher: &Publisher, column: usize) -> Self {
+        let told = publisher.columns[column].told;
+        let (mut nanos, mut values) = (Vec::with_capacity(told), Vec::with_capacity(told));
+        for (time, message) in order {
+            let value = publisher.values[message * publisher.columns.len() + column];
+            if !value.is_nan() && nanos.last() != Some(time) {
+                nanos.push(*time);
+                values.push(value);
+            }
+        }
+        let doubled = told - nanos.len();
         Self { nanos, values, doubled }
     }
 
@@ -284,8 +387,9 @@ mod tests {
         MessageTime { log_nanos: log_millis * MILLI, stamp_nanos }
     }
 
-    fn names(names: &[&str]) -> Vec<String> {
-        names.iter().map(|name| (*name).to_owned()).collect()
+    /// Names with their angles.
+    fn angles<'n>(names: &'n [&'n str], values: &'n [f64]) -> impl Iterator<Item = (&'n str, f64)> {
+        names.iter().copied().zip(values.iter().copied())
     }
 
     fn close(found: &[f64], expected: &[f64]) {
@@ -299,8 +403,8 @@ mod tests {
         let mut messages = JointMessages::new(&channels);
         for i in 0..3 {
             let positions = [i as f64, 0.03, 10.0 + i as f64, 7.0];
-            let names = names(&["b", "finger", "a", "other"]);
-            messages.joint_states("/joint_states", at(10 * i, None), &names, &positions);
+            let names = ["b", "finger", "a", "other"];
+            messages.joint_states("/joint_states", at(10 * i, None), angles(&names, &positions));
         }
         let Assembled { recording, other_joints, not_finite, doubled, incomplete } =
             messages.assemble("one");
@@ -321,7 +425,7 @@ mod tests {
         for (log, stamp, value) in
             [(1003, 20, 2.0), (1000, 0, 0.0), (1001, 10, 1.0), (1004, 30, 3.0), (1005, 30, 9.0)]
         {
-            messages.joint_states("/j", at(log, Some(stamp)), &names(&["a"]), &[value]);
+            messages.joint_states("/j", at(log, Some(stamp)), angles(&["a"], &[value]));
         }
         let Assembled { recording, doubled, .. } = messages.assemble("one");
         close(&recording.times_secs, &[0.0, 0.01, 0.02, 0.03]);
@@ -340,7 +444,7 @@ mod tests {
             let mut messages = JointMessages::new(&channels);
             for (i, stamp) in stamps.into_iter().enumerate() {
                 let time = at(2000 * i as i64, stamp);
-                messages.joint_states("/j", time, &names(&["a"]), &[i as f64]);
+                messages.joint_states("/j", time, angles(&["a"], &[i as f64]));
             }
             let recording = messages.assemble("one").recording;
             close(&recording.times_secs, &[0.0, 2.0, 4.0]);
@@ -352,15 +456,10 @@ mod tests {
         let channels = channels();
         let mut messages = JointMessages::new(&channels);
         for i in 0..=10 {
-            messages.joint_states(
-                "/arm",
-                at(10 * i, Some(10 * i + 77_000)),
-                &names(&["a"]),
-                &[0.0],
-            );
+            messages.joint_states("/arm", at(10 * i, Some(10 * i + 77_000)), [("a", 0.0)]);
         }
         for (millis, value) in [(15, 0.0), (55, 4.0), (95, 8.0)] {
-            messages.joint_states("/wrist", at(millis, None), &names(&["b"]), &[value]);
+            messages.joint_states("/wrist", at(millis, None), angles(&["b"], &[value]));
         }
         messages.gripper("/hand", at(42, None), 0.05);
         messages.gripper("/hand", at(61, None), 0.01);
@@ -379,9 +478,9 @@ mod tests {
         let channels = channels();
         let mut messages = JointMessages::new(&channels);
         for i in 0..4 {
-            messages.joint_states("/full", at(10 * i, None), &names(&["a"]), &[1.0]);
+            messages.joint_states("/full", at(10 * i, None), angles(&["a"], &[1.0]));
             if i % 2 == 0 {
-                messages.joint_states("/throttled", at(10 * i + 3, None), &names(&["a"]), &[2.0]);
+                messages.joint_states("/throttled", at(10 * i + 3, None), angles(&["a"], &[2.0]));
             }
         }
         let recording = messages.assemble("one").recording;
@@ -394,12 +493,84 @@ mod tests {
     fn values_that_are_no_number_are_counted_and_messages_shorter_than_their_names_read() {
         let channels = channels();
         let mut messages = JointMessages::new(&channels);
-        messages.joint_states("/j", at(0, None), &names(&["a", "b"]), &[0.0, f64::NAN]);
-        messages.joint_states("/j", at(10, None), &names(&["a", "b"]), &[1.0]);
+        messages.joint_states("/j", at(0, None), angles(&["a", "b"], &[0.0, f64::NAN]));
+        messages.joint_states("/j", at(10, None), angles(&["a", "b"], &[1.0]));
         let Assembled { recording, not_finite, .. } = messages.assemble("one");
         assert_eq!(recording.positions, [[0.0], [1.0]]);
         assert_eq!(not_finite, 1);
         assert_eq!(JointMessages::new(&channels).assemble("none").recording.times_secs, [0.0; 0]);
+    }
+
+    #[test]
+    fn without_a_log_that_runs_the_stamps_are_the_clock_of_all() {
+        let channels = channels();
+        let mut messages = JointMessages::new(&channels);
+        for i in 0..3 {
+            let stamp = Some(100 + 10 * i);
+            messages.joint_states("/arm", at(0, stamp), [("a", i as f64)]);
+            messages.joint_states("/wrist", at(0, stamp.map(|s| s - 5)), [("b", i as f64)]);
+        }
+        let recording = messages.assemble("one").recording;
+        close(&recording.times_secs, &[0.0, 0.01]);
+        assert_eq!(recording.positions, [[0.5, 1.0], [1.5, 2.0]]);
+    }
+
+    #[test]
+    fn a_joint_that_is_named_twice_counts_once_and_one_that_comes_later_counts_from_then_on() {
+        let channels = channels();
+        let mut messages = JointMessages::new(&channels);
+        messages.joint_states("/j", at(0, None), [("a", 0.5), ("a", 9.0)]);
+        messages.joint_states("/j", at(10, None), [("b", 1.0), ("a", 1.5)]);
+        messages.joint_states("/j", at(20, None), [("a", 2.5), ("b", 2.0)]);
+        let Assembled { recording, doubled, incomplete, .. } = messages.assemble("one");
+        assert_eq!(recording.positions, [[1.5, 1.0], [2.5, 2.0]]);
+        assert_eq!((doubled, incomplete), (0, 1));
+    }
+
+    #[test]
+    fn what_finds_no_room_is_left_out_and_what_came_before_stays() {
+        let channels = channels();
+        // A row has the two joints and the two times with their mark.
+        let width = NUMBERS_PER_MESSAGE + 2;
+        let mut messages = JointMessages::with_room(&channels, NUMBERS_PER_PUBLISHER + 100 * width);
+        for i in 0..100 {
+            assert!(!messages.is_full());
+            messages.joint_states("/j", at(10 * i, None), [("a", i as f64), ("b", 0.0)]);
+            // Joints that nobody asks for take no room, however many.
+            messages.joint_states("/other", at(10 * i, None), [("c", 0.0); 500]);
+        }
+        assert!(!messages.is_full());
+        messages.joint_states("/j", at(1000, None), [("a", 100.0), ("b", 0.0)]);
+        assert!(messages.is_full());
+        let recording = messages.assemble("one").recording;
+        assert_eq!(recording.positions.len(), 100);
+        assert_eq!(recording.positions[99], [99.0, 0.0]);
+    }
+
+    #[test]
+    fn publishers_and_joints_that_come_one_by_one_take_room_too() {
+        let channels = channels();
+        let mut messages = JointMessages::with_room(&channels, 1000);
+        let count = (0..).take_while(|i| {
+            messages.joint_states(&format!("/publisher/{i}"), at(*i, None), [("a", 0.0)]);
+            !messages.is_full()
+        });
+        let expected = 1000 / (NUMBERS_PER_PUBLISHER + NUMBERS_PER_MESSAGE + 2);
+        assert!(count.count().abs_diff(expected) <= 1);
+
+        let mut messages = JointMessages::with_room(&channels, 1000);
+        let mut count = 0;
+        while !messages.is_full() {
+            messages.joint_states("/j", at(count, None), [("a", 0.0)]);
+            count += 1;
+        }
+        let rows = messages.publishers["/j"].times.len();
+        let mut messages = JointMessages::with_room(&channels, 1000);
+        (0..rows as i64 - 1).for_each(|i| messages.joint_states("/j", at(i, None), [("a", 0.0)]));
+        assert!(!messages.is_full());
+        // To tell of one joint more, every row must widen.
+        messages.joint_states("/j", at(count, None), [("b", 0.0)]);
+        assert!(messages.is_full());
     }
 
     #[test]
@@ -408,7 +579,7 @@ mod tests {
         let mut messages = JointMessages::new(&channels);
         for (log_nanos, stamp_nanos) in [(i64::MAX, Some(i64::MIN)), (i64::MIN, Some(i64::MAX))] {
             let time = MessageTime { log_nanos, stamp_nanos };
-            messages.joint_states("/j", time, &names(&["a"]), &[0.0]);
+            messages.joint_states("/j", time, angles(&["a"], &[0.0]));
         }
         assert_eq!(messages.assemble("one").recording.positions.len(), 2);
     }
