@@ -49,7 +49,7 @@
 //! | [`serving`] | the state and the rules of the node, without any I/O |
 //!
 //! The adapters, [`config`], [`artifact`], [`dataset`], [`urdf`], [`mime`], `bag`,
-//! `ros` and [`report`], don't know each other; the two binaries wire them together.
+//! `csv`, `archive`, `ros` and [`report`], don't know each other; the two binaries wire them together.
 
 pub mod parameters;
 
@@ -76,10 +76,14 @@ pub mod training;
 pub mod serving;
 
 // Adapters: they don't know each other; the binaries wire them.
+#[cfg(feature = "bag")]
+pub mod archive;
 pub mod artifact;
 #[cfg(feature = "bag")]
 pub mod bag;
 pub mod config;
+#[cfg(feature = "bag")]
+pub mod csv;
 pub mod dataset;
 pub mod mime;
 pub mod report;

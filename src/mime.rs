@@ -7,6 +7,8 @@
 //! a few per cent more or fewer lines than joints.
 
 use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
@@ -24,6 +26,12 @@ const JOINTS_FILE: &str = "joint_angles.txt";
 
 /// Lines with damage that are skipped before a recording counts as unreadable, as a share of all.
 const MAX_DAMAGED_SHARE: f64 = 0.01;
+
+/// Lines with damage after which no more are read.
+const MOST_DAMAGED: usize = 100_000;
+
+/// Largest file that is read, bytes: 100 Hz for an hour and a half, where MIME's last half a minute.
+const LARGEST_FILE: u64 = 256 << 20;
 
 /// Problems that an error message lists; the rest is counted.
 const LISTED_PROBLEMS: usize = 5;
@@ -111,6 +119,19 @@ pub fn find(path: &Path) -> Result<Vec<PathBuf>, MimeError> {
     Ok(found)
 }
 
+/// Whether a file of this name may be one of a demonstration: its joints, or a gripper.
+pub fn is_part(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "txt")
+}
+
+/// The demonstration that a file is a part of.
+pub fn demonstration_of(file: &Path) -> Option<&Path> {
+    let folder = file.parent()?;
+    // The folder of a file without one is empty.
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    (is_part(file) && folder.join(JOINTS_FILE).is_file()).then_some(folder)
+}
+
 fn collect(path: &Path, levels: usize, found: &mut Vec<PathBuf>) -> Result<(), MimeError> {
     let io = |source| MimeError::Io { path: path.into(), source };
     if path.join(JOINTS_FILE).exists() {
@@ -148,17 +169,20 @@ fn collect(path: &Path, levels: usize, found: &mut Vec<PathBuf>) -> Result<(), M
 pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeError> {
     let mut digest = Sha256::new();
     let mut text = |file: &Path| {
-        let bytes =
-            std::fs::read(file).map_err(|source| MimeError::Io { path: file.into(), source })?;
+        let bytes = contents(file).map_err(|source| MimeError::Io { path: file.into(), source })?;
         digest.update(bytes.len().to_le_bytes());
         digest.update(&bytes);
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        let lossy = |e: std::string::FromUtf8Error| String::from_utf8_lossy(e.as_bytes()).into();
+        Ok(String::from_utf8(bytes).unwrap_or_else(lossy))
     };
     let joints_file = folder.join(JOINTS_FILE);
     let joints = text(&joints_file)?;
     let mut lines = Lines { file: joints_file, damaged: Vec::new(), stray: 0, total: 0 };
     let mut positions = Vec::new();
     for (number, line) in numbered(&joints) {
+        if lines.is_hopeless() {
+            break;
+        }
         lines.total += 1;
         match frame(line, &channels.joints) {
             Ok(Some(frame)) => positions.push(frame),
@@ -189,6 +213,9 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
         let mut lines = Lines { file, damaged: Vec::new(), stray: 0, total: 0 };
         let mut values = Vec::new();
         for (number, line) in numbered(&text) {
+            if lines.is_hopeless() {
+                break;
+            }
             lines.total += 1;
             match line.parse::<f64>() {
                 Ok(value) if value.is_finite() => values.push(value),
@@ -232,6 +259,20 @@ pub fn read(folder: &Path, channels: &Channels) -> Result<MimeRecording, MimeErr
     Ok(MimeRecording { recording, stray_lines, damaged, digest })
 }
 
+/// What a file holds, which must be an ordinary one, and end.
+fn contents(path: &Path) -> io::Result<Vec<u8>> {
+    let refused = |what: &str| Err(io::Error::new(io::ErrorKind::InvalidData, what.to_owned()));
+    if !path.metadata()?.is_file() {
+        return refused("it is no ordinary file");
+    }
+    let mut bytes = Vec::new();
+    File::open(path)?.take(LARGEST_FILE + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > LARGEST_FILE {
+        return refused(&format!("it is larger than {LARGEST_FILE} bytes"));
+    }
+    Ok(bytes)
+}
+
 /// The state of reading one file.
 struct Lines {
     file: PathBuf,
@@ -245,10 +286,16 @@ impl Lines {
         self.damaged.push(Problem { file: self.file.clone(), line, what });
     }
 
+    /// Whether there is damage without an end.
+    fn is_hopeless(&self) -> bool {
+        self.damaged.len() >= MOST_DAMAGED
+    }
+
     /// The damage, where it is more than a few lines of a long file.
     fn fatal(&mut self) -> Vec<Problem> {
         let tolerated = (MAX_DAMAGED_SHARE * self.total as f64) as usize;
-        if self.damaged.len() > tolerated { std::mem::take(&mut self.damaged) } else { Vec::new() }
+        let is_fatal = self.damaged.len() > tolerated || self.is_hopeless();
+        if is_fatal { std::mem::take(&mut self.damaged) } else { Vec::new() }
     }
 }
 
@@ -514,6 +561,33 @@ mod tests {
     }
 
     #[test]
+    fn a_file_without_an_end_is_refused_and_damage_without_an_end_is_not_kept() {
+        let frame = "{\"left_s0\": 0.0, \"left_s1\": 0.0}\n";
+        let folder = folder(&frame.repeat(3), "100\n", "100\n");
+        let gripper = folder.path().join("left_gripper.txt");
+        std::fs::write(&gripper, "x\n".repeat(MOST_DAMAGED + 7)).unwrap();
+        let error = read(folder.path(), &channels()).unwrap_err();
+        let MimeError::Unreadable { ref problems } = error else { panic!("{error}") };
+        // And that no line holds a number.
+        assert_eq!(problems.len(), MOST_DAMAGED + 1);
+        let sparse = std::fs::File::create(&gripper).unwrap();
+        sparse.set_len(LARGEST_FILE + 1).unwrap();
+        let told = read(folder.path(), &channels()).unwrap_err().to_string();
+        assert!(told.ends_with("left_gripper.txt: it is larger than 268435456 bytes"), "{told}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_no_ordinary_file_is_not_read() {
+        let folder = folder("", "100\n", "100\n");
+        let joints = folder.path().join(JOINTS_FILE);
+        std::fs::remove_file(&joints).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", &joints).unwrap();
+        let told = read(folder.path(), &channels()).unwrap_err().to_string();
+        assert!(told.ends_with("joint_angles.txt: it is no ordinary file"), "{told}");
+    }
+
+    #[test]
     fn demonstrations_are_found_in_a_task_folder_and_by_themselves() {
         let task = tempfile::tempdir().unwrap();
         for name in ["4316Aug02", "4315Aug02", "notes"] {
@@ -529,6 +603,11 @@ mod tests {
         assert_eq!(names(&task.path().join("4316Aug02")), ["4316Aug02"]);
         assert!(matches!(find(&task.path().join("notes")), Err(MimeError::Empty { .. })));
         assert!(matches!(find(&task.path().join("absent")), Err(MimeError::Io { .. })));
+        let one = task.path().join("4316Aug02");
+        assert_eq!(demonstration_of(&one.join(JOINTS_FILE)), Some(one.as_path()));
+        assert_eq!(demonstration_of(&one.join("left_gripper.txt")), Some(one.as_path()));
+        assert_eq!(demonstration_of(&one.join("video.mp4")), None);
+        assert_eq!(demonstration_of(&task.path().join("notes/a.txt")), None);
     }
 
     proptest! {

@@ -191,6 +191,143 @@ fn append(all: &mut JointRecording, next: &JointRecording) {
     }
 }
 
+/// Six simulated demonstrations in `mime/`, and what inspect finds in them.
+fn simulated(path: &Path) -> Value {
+    let simulate = ["simulate", "pouring", "--seed", "6", "--count", "6", "-o", "mime"];
+    assert_eq!(tcvae(&simulate, path).status.code(), Some(0));
+    inspected("mime", path)
+}
+
+/// The same demonstrations, accepted or left out for the same reasons, with the same tasks.
+fn assert_same(found: &Value, expected: &Value, id: impl Fn(&str) -> String) {
+    let list = |value: &Value| value["demonstrations"].as_array().expect("a list").clone();
+    let (found, expected) = (list(found), list(expected));
+    assert_eq!(found.len(), expected.len());
+    for expected in &expected {
+        let name = id(expected["id"].as_str().expect("a name"));
+        let same = found.iter().find(|d| d["id"] == name.as_str());
+        let same = same.unwrap_or_else(|| panic!("{name} in {found:?}"));
+        for field in ["accepted", "reason", "arm"] {
+            assert_eq!(same[field], expected[field], "{name}: {field}");
+        }
+        for location in ["pour_location", "source_cup"] {
+            for i in 0..2 {
+                let value = |v: &Value| v["task"][location][i].as_f64().unwrap_or(0.0);
+                assert!((value(same) - value(expected)).abs() < 1e-6, "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_table_is_left_out_or_accepted_as_the_same_recording_in_the_layout_of_mime() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let of_mime = simulated(path);
+    let channels = RobotConfig::default().channels();
+    fs::create_dir(path.join("tables")).expect("a folder");
+    for (number, demonstration) in
+        mime::find(&path.join("mime")).expect("demonstrations").iter().enumerate()
+    {
+        let recording = mime::read(demonstration, &channels).expect("readable").recording;
+        // Baxter's fingers as joints, or per cent.
+        let in_per_cent = number % 2 == 0;
+        let mut text = "time_ns".to_owned();
+        recording.joint_names.iter().for_each(|name| text += &format!(",{name}"));
+        for gripper in &recording.grippers {
+            let finger = format!("{}_gripper_l_finger_joint", &gripper.name[..1]);
+            text += &format!(",{}", if in_per_cent { &gripper.name } else { &finger });
+        }
+        for (i, (time, joints)) in recording.times_secs.iter().zip(&recording.positions).enumerate()
+        {
+            text += &format!("\n{}", 1_700_000_000_000_000_000 + (time * 1e9).round() as i64);
+            joints.iter().for_each(|angle| text += &format!(",{angle}"));
+            for gripper in &recording.grippers {
+                let open = gripper.percent_open[i];
+                text += &format!(",{}", if in_per_cent { open } else { open * 0.01 * 0.0208 });
+            }
+        }
+        let id = demonstration.file_name().expect("a name").to_str().expect("text");
+        fs::write(path.join(format!("tables/{id}.csv")), text).expect("written");
+    }
+    let of_tables = inspected("tables", path);
+    assert_same(&of_tables, &of_mime, |id| format!("{id}.csv"));
+    assert!(of_tables["summary"]["accepted"].as_u64() > Some(2), "{of_tables}");
+    assert_eq!(of_tables["summary"]["synthetic"], false);
+}
+
+/// Files as an archive; those below a folder with their paths in it.
+fn zip(files: &[(String, Vec<u8>)]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut archive = rawzip::ZipArchiveWriter::new(&mut bytes);
+    for (name, content) in files {
+        let deflate = rawzip::CompressionMethod::DEFLATE;
+        let (mut entry, config) =
+            archive.new_file(name.as_str()).compression_method(deflate).start().expect("a file");
+        let encoder = flate2::write::DeflateEncoder::new(&mut entry, Default::default());
+        let mut writer = config.wrap(encoder);
+        std::io::Write::write_all(&mut writer, content).expect("written");
+        let (encoder, descriptor) = writer.finish().expect("whole");
+        encoder.finish().expect("whole");
+        entry.finish(descriptor).expect("whole");
+    }
+    archive.finish().expect("whole");
+    bytes
+}
+
+fn files_below(folder: &Path, inside: &str, found: &mut Vec<(String, Vec<u8>)>) {
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let name = format!("{inside}{}", path.file_name().expect("a name").to_string_lossy());
+        if path.is_dir() {
+            files_below(&path, &format!("{name}/"), found);
+        } else {
+            found.push((name, fs::read(&path).expect("a file")));
+        }
+    }
+}
+
+#[test]
+fn an_archive_is_read_as_the_folder_that_was_packed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let of_mime = simulated(path);
+    let mut files = Vec::new();
+    files_below(&path.join("mime"), "task/", &mut files);
+    files.push(("task/video.mp4".into(), vec![7; 1000]));
+    fs::write(path.join("mime.zip"), zip(&files)).expect("written");
+    let of_archive = inspected("mime.zip", path);
+    assert_same(&of_archive, &of_mime, str::to_owned);
+    assert_eq!(of_archive["summary"]["synthetic"], true, "truth.json is in it");
+    let digests = |value: &Value| value["summary"]["accepted"].clone();
+    assert_eq!(digests(&of_archive), digests(&of_mime));
+
+    // A file of one stands for it, and so does an archive of its files alone; bags may be in one too.
+    let first = of_mime["demonstrations"][0]["id"].as_str().expect("a name");
+    let of_file = inspected(&format!("mime/{first}/joint_angles.txt"), path);
+    assert_eq!(of_file["demonstrations"][0], of_mime["demonstrations"][0]);
+    let mut one = Vec::new();
+    files_below(&path.join("mime").join(first), "", &mut one);
+    let bags = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/bags");
+    one.push(("more/zstd.mcap".into(), fs::read(bags.join("zstd.mcap")).expect("a bag")));
+    for part in 0..3 {
+        let name = format!("sqlite_split/sqlite_split_{part}.db3");
+        one.push((name.clone(), fs::read(bags.join(&name)).expect("a bag")));
+    }
+    one.push(("../evil.csv".into(), b"time,a".to_vec()));
+    fs::create_dir(path.join("archives")).expect("a folder");
+    fs::write(path.join("archives/one.ZIP"), zip(&one)).expect("written");
+    fs::write(path.join("archives/none.zip"), "PK").expect("written");
+    let found = inspected("archives", path);
+    let list = found["demonstrations"].as_array().expect("a list");
+    let ids: Vec<_> = list.iter().map(|d| d["id"].as_str().expect("a name")).collect();
+    assert_eq!(ids, ["none.zip", "sqlite_split", "zstd.mcap", "one", "evil.csv"], "{found}");
+    assert_eq!(list[3]["accepted"], of_mime["demonstrations"][0]["accepted"]);
+    assert_eq!(list[4]["detail"], "its path leads out of the archive");
+    let told = list[0]["detail"].as_str().expect("text");
+    assert!(told.starts_with("archives/none.zip: no zip archive can be read"), "{told}");
+}
+
 #[cfg(unix)]
 #[test]
 fn what_links_lead_to_again_is_one_recording() {

@@ -40,6 +40,15 @@ pub struct MessageTime {
     pub stamp_nanos: Option<i64>,
 }
 
+/// What a value is of, by its place among those that are asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Told {
+    /// A joint: rad.
+    Joint(usize),
+    /// A gripper: per cent open.
+    Gripper(usize),
+}
+
 /// Messages of a recording, as they are read. Only values that are asked for are kept, and of these only
 /// so many: a recording without an end takes no memory without an end.
 #[derive(Debug)]
@@ -113,40 +122,44 @@ impl<'a> JointMessages<'a> {
     ) {
         let Channels { joints, grippers } = self.channels;
         let mut told = Vec::with_capacity(joints.len() + grippers.len());
-        let mut is_told = vec![false; joints.len() + grippers.len()];
-        let mut tell = |channel: usize, value: f64| {
-            if !std::mem::replace(&mut is_told[channel], true) {
-                told.push((channel, value));
+        let mut tell = |what: Told, value: f64| {
+            if told.iter().all(|(other, _)| *other != what) {
+                told.push((what, value));
             }
         };
         for (name, value) in angles {
             if let Some(i) = joints.iter().position(|joint| joint == name) {
-                tell(i, value);
-            } else if self.other_joints.len() < OTHER_JOINTS {
+                tell(Told::Joint(i), value);
+            } else if self.other_joints.len() < OTHER_JOINTS && !self.other_joints.contains(name) {
                 let name: String = name.chars().take(OTHER_JOINT_CHARS).collect();
                 self.other_joints.insert(name);
             }
             for (i, gripper) in grippers.iter().enumerate() {
                 if gripper.source.joint.as_deref() == Some(name) {
-                    tell(joints.len() + i, gripper.source.percent_open(value));
+                    tell(Told::Gripper(i), gripper.source.percent_open(value));
                 }
             }
         }
-        self.take(publisher, time, &told);
+        self.told(publisher, time, &told);
     }
 
     /// Takes what a topic says of the grippers whose topic it is.
     pub fn gripper(&mut self, topic: &str, time: MessageTime, value: f64) {
-        let Channels { joints, grippers } = self.channels;
-        let of_topic = grippers.iter().enumerate().filter_map(|(i, gripper)| {
+        let of_topic = self.channels.grippers.iter().enumerate().filter_map(|(i, gripper)| {
             let is_its = gripper.source.topic.as_deref() == Some(topic);
-            is_its.then(|| (joints.len() + i, gripper.source.percent_open(value)))
+            is_its.then(|| (Told::Gripper(i), gripper.source.percent_open(value)))
         });
-        self.take(topic, time, &of_topic.collect::<Vec<_>>());
+        self.told(topic, time, &of_topic.collect::<Vec<_>>());
     }
 
-    /// Keeps the values of a message.
-    fn take(&mut self, publisher: &str, time: MessageTime, told: &[(usize, f64)]) {
+    /// Takes the values of one message, each of another thing.
+    pub fn told(&mut self, publisher: &str, time: MessageTime, told: &[(Told, f64)]) {
+        let joints = self.channels.joints.len();
+        let channel = |told: Told| match told {
+            Told::Joint(joint) => joint,
+            Told::Gripper(gripper) => joints + gripper,
+        };
+        let told: Vec<_> = told.iter().map(|(what, value)| (channel(*what), *value)).collect();
         let finite = || told.iter().filter(|(_, value)| value.is_finite());
         self.not_finite += told.len() - finite().count();
         if finite().count() == 0 || self.is_full {
