@@ -247,6 +247,25 @@ fn a_database_that_was_not_closed_is_read_with_its_log() {
 }
 
 #[test]
+fn a_database_in_a_folder_that_cant_be_written_to_is_read_and_its_log_missed() {
+    let target = tempfile::tempdir().unwrap();
+    let path = target.path().join("one#1?.db3");
+    fs::copy(folder().join("sqlite/sqlite.db3"), &path).unwrap();
+    let writer = rusqlite::Connection::open(&path).unwrap();
+    writer.pragma_update(None, "journal_mode", "WAL").unwrap();
+    drop(writer);
+    // Root may write to any folder, but not where another folder is.
+    fs::create_dir(path.with_extension("db3-shm")).unwrap();
+    let whole = read(&folder().join("sqlite"));
+    let BagRecording { recording, damage, .. } = read(&path);
+    assert_eq!((&recording.positions, damage), (&whole.recording.positions, Vec::new()));
+    fs::write(path.with_extension("db3-wal"), "rows").unwrap();
+    let BagRecording { recording, damage, .. } = read(&path);
+    assert_eq!(recording.positions, whole.recording.positions);
+    assert!(damage[0].contains("what is in its -wal file alone is left out"), "{damage:?}");
+}
+
+#[test]
 fn a_database_of_which_a_query_would_not_end_is_refused() {
     let (_folder, path) = edited("sqlite/sqlite.db3", |_| {});
     let connection = rusqlite::Connection::open(&path).unwrap();

@@ -13,6 +13,7 @@ use mcap::sans_io::{
 };
 use mcap::{McapError, Summary};
 
+use super::message::Content;
 use super::{LARGEST_RECORD, Reading, Topic};
 
 /// Reads the messages of a file.
@@ -31,7 +32,17 @@ pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(),
     linear(file, size, reading)
 }
 
+/// Bytes at the end of a file, from where the footer says where the summary begins.
+const FOOTER_END: u64 = 28;
+
 fn summary(file: &mut File, size: u64) -> Result<Option<Summary>, McapError> {
+    let mut start = [0; 8];
+    file.seek(SeekFrom::Start(size.saturating_sub(FOOTER_END)))?;
+    file.read_exact(&mut start)?;
+    // It is kept as a whole; 100 GB have one of some 20 MB.
+    if size.saturating_sub(u64::from_le_bytes(start)) > LARGEST_RECORD as u64 {
+        return Ok(None);
+    }
     file.rewind()?;
     let options = SummaryReaderOptions::default()
         .with_file_size(size)
@@ -224,7 +235,9 @@ fn linear(file: &mut File, size: u64, reading: &mut Reading<'_, '_>) -> Result<(
         }
         match mcap::parse_record(opcode, data)? {
             Record::Schema { header, .. } => {
-                schemas.insert(header.id, header.name);
+                // Names of types that nobody asks for may be long, and many.
+                let name = Content::of_type(&header.name).map(|_| header.name).unwrap_or_default();
+                schemas.insert(header.id, name);
             }
             Record::Channel(channel) => {
                 let type_name = schemas.get(&channel.schema_id).map_or("", String::as_str);

@@ -51,7 +51,8 @@ impl Content {
     /// By the type's name of ROS 1 or 2, such as `sensor_msgs/msg/JointState`; none where the type tells
     /// nothing that is asked for.
     pub(super) fn of_type(name: &str) -> Option<Self> {
-        let (package, message) = (name.split('/').next()?, name.rsplit('/').next()?);
+        let (package, message) = name.split_once('/')?;
+        let message = message.strip_prefix("msg/").unwrap_or(message);
         let number = match (package, message) {
             ("sensor_msgs", "JointState") => return Some(Self::JointStates),
             ("std_msgs", "Bool") => Number::Bool,
@@ -346,6 +347,7 @@ mod tests {
         }
         assert_eq!(Content::of_type("std_msgs/msg/String"), None);
         assert_eq!(Content::of_type("my_msgs/msg/JointState"), None);
+        assert_eq!(Content::of_type("sensor_msgs/x/JointState"), None);
         assert_eq!(Content::of_type(""), None);
     }
 }

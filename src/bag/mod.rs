@@ -38,6 +38,9 @@ const LARGEST_GROWTH: u64 = 200;
 /// What a message that rosbag2 compressed begins with. In CDR the first byte is 0.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
+/// Longest name of a topic that is read, bytes. ROS allows 255.
+const LONGEST_NAME: usize = 1024;
+
 /// Topics in encodings that can't be read which are told.
 const UNREAD_TOPICS: usize = 8;
 
@@ -185,7 +188,7 @@ impl Bag {
                  than fit in 256 MiB; split it"
             ));
         }
-        damage.extend(unread.iter().map(|topic| format!("{topic}; cdr and ros1 are read")));
+        damage.extend(unread);
         if let Some(first) = first_damage {
             damage.push(format!("{damaged} messages can't be read, the first: {first}"));
         }
@@ -224,13 +227,18 @@ impl Reading<'_, '_> {
         if content != Content::JointStates && !of_gripper() {
             return None;
         }
-        let Some(encoding) = Encoding::named(encoding) else {
-            if self.unread.len() < UNREAD_TOPICS {
-                self.unread.insert(format!("{name} is encoded as {encoding:?}"));
-            }
-            return None;
+        let unread = if name.len() > LONGEST_NAME {
+            format!("a topic has a name of {} bytes, of which {LONGEST_NAME} are read", name.len())
+        } else if let Some(encoding) = Encoding::named(encoding) {
+            return Some(Topic { name: name.into(), content, encoding });
+        } else {
+            let encoding: String = encoding.chars().take(40).collect();
+            format!("{name} is encoded as {encoding:?}; cdr and ros1 are read")
         };
-        Some(Topic { name: name.into(), content, encoding })
+        if self.unread.len() < UNREAD_TOPICS {
+            self.unread.insert(unread);
+        }
+        None
     }
 
     /// Whether what comes now would be left out.
@@ -441,6 +449,47 @@ fn named_files(metadata: &str) -> Vec<String> {
 /// Whether two names are of the same file, compressed or not.
 fn is_same(a: &str, b: &str) -> bool {
     a.trim_end_matches(".zstd") == b.trim_end_matches(".zstd")
+}
+
+/// Whether a file of this name may be one of a bag.
+pub fn is_part(path: &Path) -> bool {
+    name(path) == METADATA || kind(path).is_some()
+}
+
+/// The files at a path, sorted by name: itself, or those in the folder and as far below it as bags are
+/// looked for.
+///
+/// # Errors
+/// A folder can't be looked into.
+pub fn files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    fn collect(
+        folder: &Path,
+        levels: usize,
+        seen: &mut HashSet<PathBuf>,
+        found: &mut Vec<PathBuf>,
+    ) -> Result<(), BagError> {
+        let io = |source| BagError::Io { path: folder.into(), source };
+        if !seen.insert(fs::canonicalize(folder).map_err(io)?) {
+            return Ok(());
+        }
+        for entry in fs::read_dir(folder).map_err(io)? {
+            let entry = entry.map_err(io)?.path();
+            if entry.is_file() {
+                found.push(entry);
+            } else if entry.is_dir() && levels > 0 {
+                collect(&entry, levels - 1, seen, found)?;
+            }
+        }
+        Ok(())
+    }
+    let mut found = Vec::new();
+    if path.is_dir() {
+        collect(path, LEVELS, &mut HashSet::new(), &mut found)?;
+    } else if path.is_file() {
+        found.push(path.into());
+    }
+    found.sort();
+    Ok(found)
 }
 
 /// The recording that a file is a part of by its name, and its number: `pours_3.db3`.

@@ -268,6 +268,9 @@ impl Records<'_> {
                 _ => {}
             }
         }
+        // In the order of the file, and none twice.
+        chunks.sort_unstable();
+        chunks.dedup();
         Ok(Some(chunks))
     }
 }

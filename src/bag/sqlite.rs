@@ -1,10 +1,11 @@
 //! The SQLite files of rosbag2.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
 
 use rusqlite::limits::Limit;
-use rusqlite::{Connection, Error, OpenFlags};
+use rusqlite::{Connection, Error, ErrorCode, OpenFlags};
 
 use super::{LARGEST_RECORD, Reading, Topic};
 
@@ -15,11 +16,33 @@ pub(super) enum SqliteError {
     Sqlite(#[from] Error),
     #[error("it has no table {0:?}, which rosbag2 writes")]
     NoTable(&'static str),
+    #[error(
+        "what is in its -wal file alone is left out, as its folder can't be written to; copy the folder"
+    )]
+    Log,
 }
 
 /// Reads the messages of a file. Rows of other topics are passed over without their data.
 pub(super) fn read(path: &Path, reading: &mut Reading<'_, '_>) -> Result<(), SqliteError> {
     let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
+    let schema: Result<i64, Error> =
+        connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0));
+    if schema.is_err_and(|e| e.sqlite_error_code() == Some(ErrorCode::CannotOpen)) {
+        // As rosbag2 leaves it, SQLite opens it only where it may write beside it, unless it is told that
+        // nobody else writes.
+        let name = path.to_string_lossy();
+        let name = name.replace('%', "%25").replace('?', "%3f").replace('#', "%23");
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
+        let connection = Connection::open_with_flags(format!("file:{name}?immutable=1"), flags)?;
+        messages(&connection, reading)?;
+        let log = fs::metadata(path.with_extension("db3-wal"));
+        return if log.is_ok_and(|log| log.len() > 0) { Err(SqliteError::Log) } else { Ok(()) };
+    }
+    messages(&connection, reading)
+}
+
+/// Reads the messages of an open file.
+fn messages(connection: &Connection, reading: &mut Reading<'_, '_>) -> Result<(), SqliteError> {
     connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, LARGEST_RECORD as i32)?;
     // The file may come from anybody: it is to be data alone.
     connection.execute_batch("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON;")?;
