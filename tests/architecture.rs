@@ -23,8 +23,10 @@ const CORE: [&str; 12] = [
 
 /// The modules around the core; each may use the whole core and no other adapter, but for those
 /// named here.
-const ADAPTERS: [(&str, &[&str]); 8] = [
+const ADAPTERS: [(&str, &[&str]); 10] = [
+    ("archive", &[]),
     ("config", &[]),
+    ("csv", &[]),
     ("artifact", &[]),
     ("urdf", &[]),
     ("bag", &[]),

@@ -137,6 +137,22 @@ fn a_bag_that_is_none_and_one_without_joint_states_say_so() {
     assert!(told.ends_with("; a are looked for"), "{told}");
 }
 
+#[test]
+fn a_record_that_is_longer_than_its_chunk_ends_it() {
+    let (_folder, path) = edited("plain.mcap", |bytes| {
+        // No index, so that the file is walked through; and the length of its eleventh message is larger.
+        let end = bytes.len();
+        bytes[end - 28..end - 12].fill(0);
+        let is_message =
+            |i: &usize| bytes[*i] == 5 && bytes[i + 3..i + 9] == [0; 6] && bytes[i + 1] > 22;
+        let place = (0..end - 9).filter(is_message).nth(10).unwrap();
+        bytes[place + 3] = 0xff;
+    });
+    let BagRecording { recording, damage, .. } = read(&path);
+    assert!((1..30).contains(&recording.positions.len()), "{recording:?}");
+    assert!(damage[0].ends_with("it ends in the middle of a record"), "{damage:?}");
+}
+
 /// A bag with the messages of another, edited: the time of the log and of publishing, and the data.
 fn rewritten(name: &str, edit: impl Fn(u64, &[u8]) -> (u64, u64, Vec<u8>)) -> tempfile::TempDir {
     let bytes = fs::read(folder().join(name)).unwrap();
@@ -246,6 +262,7 @@ fn a_database_that_was_not_closed_is_read_with_its_log() {
     }
 }
 
+#[cfg(unix)]
 #[test]
 fn a_database_in_a_folder_that_cant_be_written_to_is_read_and_its_log_missed() {
     let target = tempfile::tempdir().unwrap();
@@ -254,11 +271,12 @@ fn a_database_in_a_folder_that_cant_be_written_to_is_read_and_its_log_missed() {
     let writer = rusqlite::Connection::open(&path).unwrap();
     writer.pragma_update(None, "journal_mode", "WAL").unwrap();
     drop(writer);
-    // Root may write to any folder, but not where another folder is.
-    fs::create_dir(path.with_extension("db3-shm")).unwrap();
+    // Root may write to any folder, but not where a link leads nowhere.
+    std::os::unix::fs::symlink("nowhere/x", path.with_extension("db3-shm")).unwrap();
     let whole = read(&folder().join("sqlite"));
     let BagRecording { recording, damage, .. } = read(&path);
     assert_eq!((&recording.positions, damage), (&whole.recording.positions, Vec::new()));
+    assert_eq!(fs::read_dir(target.path()).unwrap().count(), 2, "nothing is written beside it");
     fs::write(path.with_extension("db3-wal"), "rows").unwrap();
     let BagRecording { recording, damage, .. } = read(&path);
     assert_eq!(recording.positions, whole.recording.positions);

@@ -1,30 +1,60 @@
 //! MCAP files: by their index where they have one, so that only chunks with what is asked for are read;
 //! else from start to end.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
-use mcap::records::{ChunkIndex, MessageHeader, Record, op};
-use mcap::sans_io::indexed_reader::ReadOrder;
-use mcap::sans_io::{
-    IndexedReadEvent, IndexedReader, IndexedReaderOptions, LinearReadEvent, LinearReader,
-    LinearReaderOptions, SummaryReadEvent, SummaryReader, SummaryReaderOptions,
-};
+use mcap::records::{ChunkIndex, Record, op};
+use mcap::sans_io::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 use mcap::{McapError, Summary};
 
 use super::message::Content;
 use super::{LARGEST_RECORD, Reading, Topic};
 
+const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+/// Bytes before a record's content: what it is, and its length.
+const RECORD_START: u64 = 9;
+
+/// Bytes of a chunk's content before the name of its compression.
+const CHUNK_START: usize = 32;
+
+/// Bytes at the end of a file, from where the footer says where the summary begins.
+const FOOTER_END: u64 = 28;
+
+/// Why a file can't be read on.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum McapFileError {
+    #[error("{0}")]
+    Io(#[from] io::Error),
+    #[error("it does not begin as an MCAP file")]
+    Magic,
+    #[error("it ends in the middle of a record")]
+    End,
+    #[error("a record of {length} bytes; at most {LARGEST_RECORD} are read")]
+    Large { length: u64 },
+    #[error("a chunk is compressed by {0:?}; zstd and lz4 are read")]
+    Compression(String),
+    #[error("a chunk can't be decompressed: {0}")]
+    Decompression(io::Error),
+    #[error("a chunk's checksum is {found:08x} where it says {said:08x}")]
+    Checksum { found: u32, said: u32 },
+    #[error("its index is damaged")]
+    Index,
+    #[error("{0}")]
+    Record(#[from] McapError),
+}
+
 /// Reads the messages of a file.
-pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(), McapError> {
+pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(), McapFileError> {
     let size = file.metadata()?.len();
     // Without a summary, or with a damaged one, what comes before it can be whole.
     if let Ok(Some(summary)) = summary(file, size)
         && has_index(&summary, size)
     {
         let read_before = reading.read;
-        let read = indexed(file, size, summary, reading);
+        let read = indexed(file, size, &summary, reading);
         if read.is_ok() || reading.read > read_before {
             return read;
         }
@@ -32,10 +62,7 @@ pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(),
     linear(file, size, reading)
 }
 
-/// Bytes at the end of a file, from where the footer says where the summary begins.
-const FOOTER_END: u64 = 28;
-
-fn summary(file: &mut File, size: u64) -> Result<Option<Summary>, McapError> {
+fn summary(file: &mut File, size: u64) -> Result<Option<Summary>, McapFileError> {
     let mut start = [0; 8];
     file.seek(SeekFrom::Start(size.saturating_sub(FOOTER_END)))?;
     file.read_exact(&mut start)?;
@@ -51,7 +78,10 @@ fn summary(file: &mut File, size: u64) -> Result<Option<Summary>, McapError> {
     while let Some(event) = reader.next_event() {
         match event? {
             SummaryReadEvent::ReadRequest(need) => {
-                let need = bounded(need, file, size)?;
+                // No more than the file has: a damaged length asks for more memory than there is. But
+                // one byte at the end, so that the reader hears that it is there.
+                let left = size.saturating_sub(file.stream_position()?);
+                let need = need.min(usize::try_from(left).unwrap_or(usize::MAX)).max(1);
                 let read = file.read(reader.insert(need))?;
                 reader.notify_read(read);
             }
@@ -59,13 +89,6 @@ fn summary(file: &mut File, size: u64) -> Result<Option<Summary>, McapError> {
         }
     }
     Ok(reader.finish())
-}
-
-/// As much of a request as the file can answer: a damaged length asks for more memory than there is.
-fn bounded(need: usize, file: &mut File, size: u64) -> Result<usize, McapError> {
-    let left = size.saturating_sub(file.stream_position()?);
-    // One byte at the end, so that the reader hears that it is there.
-    Ok(need.min(usize::try_from(left).unwrap_or(usize::MAX)).max(1))
 }
 
 /// Whether every message is in a chunk that the summary names, with its channels, and each chunk is named
@@ -78,104 +101,293 @@ fn has_index(summary: &Summary, size: u64) -> bool {
     messages > 0 && !chunks.is_empty() && indexed && together <= u128::from(size)
 }
 
-/// What a channel is asked for, if anything.
-fn topic(channel: &mcap::Channel<'_>, reading: &mut Reading<'_, '_>) -> Option<Topic> {
-    let type_name = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
-    reading.topic(&channel.topic, type_name, &channel.message_encoding)
-}
-
-/// When a message was logged; where nobody noted that, when it was published.
-fn log_nanos(header: &MessageHeader) -> i64 {
-    let MessageHeader { log_time, publish_time, .. } = *header;
-    if log_time == 0 { publish_time } else { log_time }.cast_signed()
-}
+/// Topics that are asked for, by the numbers of their channels.
+type Channels = BTreeMap<u16, Topic>;
 
 fn indexed(
     file: &mut File,
     size: u64,
-    mut summary: Summary,
+    summary: &Summary,
     reading: &mut Reading<'_, '_>,
-) -> Result<(), McapError> {
-    let mut asked_for = BTreeMap::new();
+) -> Result<(), McapFileError> {
+    let mut channels = Channels::new();
     for (id, channel) in &summary.channels {
-        if let Some(topic) = topic(channel, reading) {
-            asked_for.insert(*id, topic);
-        }
+        let type_name = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+        let topic = reading.topic(&channel.topic, type_name, &channel.message_encoding);
+        channels.extend(topic.map(|topic| (*id, topic)));
     }
-    let is_asked_for = |chunk: &ChunkIndex| {
-        chunk.message_index_offsets.keys().any(|id| asked_for.contains_key(id))
+    let is_asked_for = |chunk: &&ChunkIndex| {
+        chunk.message_index_offsets.keys().any(|id| channels.contains_key(id))
     };
-    summary.chunk_indexes.retain(is_asked_for);
-    let (mut plain, compressed): (Vec<_>, Vec<_>) =
-        summary.chunk_indexes.into_iter().partition(|chunk| chunk.compression.is_empty());
-    plain.sort_by_key(|chunk| chunk.chunk_start_offset);
-    let mut messages = PlainMessages { file: BufReader::new(&mut *file), size, data: Vec::new() };
-    for chunk in &plain {
-        messages.read(chunk, &asked_for, reading)?;
-    }
-    if compressed.is_empty() {
-        return Ok(());
-    }
-    summary.chunk_indexes = compressed;
-    let topics: BTreeSet<String> = asked_for.values().map(|topic| topic.name.clone()).collect();
-    let options = IndexedReaderOptions::new()
-        .with_order(ReadOrder::File)
-        .include_topics(topics)
-        .with_record_length_limit(LARGEST_RECORD);
-    let mut reader = IndexedReader::new_with_options(&summary, options)?;
-    let mut chunk = Vec::new();
-    while let Some(event) = reader.next_event()
-        && !reading.is_full()
-    {
-        match event? {
-            IndexedReadEvent::ReadChunkRequest { offset, length } => {
-                if offset.checked_add(length as u64).is_none_or(|end| end > size) {
-                    return Err(McapError::UnexpectedEof);
-                }
-                file.seek(SeekFrom::Start(offset))?;
-                chunk.resize(length, 0);
-                file.read_exact(&mut chunk)?;
-                reader.insert_chunk_record_data(offset, &chunk)?;
-            }
-            IndexedReadEvent::Message { header, data } => {
-                // Two channels can share a topic, and only one of them be asked for.
-                if let Some(topic) = asked_for.get(&header.channel_id) {
-                    reading.message(topic, log_nanos(&header), data);
-                }
-            }
+    let mut chunks: Vec<_> = summary.chunk_indexes.iter().filter(is_asked_for).collect();
+    chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
+    let mut records = Records { file: BufReader::new(file), size, data: Vec::new() };
+    let mut plain = Vec::new();
+    for chunk in chunks {
+        if reading.is_full() {
+            break;
         }
+        if chunk.compression.is_empty() {
+            records.plain_messages(chunk, &channels, reading)?;
+            continue;
+        }
+        if records.next_at(chunk.chunk_start_offset, size)? != op::CHUNK {
+            return Err(McapFileError::Index);
+        }
+        let chunk = Chunk::new(&records.data)?;
+        let decompressed = chunk.decompress(&mut plain);
+        walk(&plain, &mut |opcode, data| {
+            if opcode == op::MESSAGE {
+                message(data, &channels, reading)?;
+            }
+            Ok(!reading.is_full())
+        })?;
+        decompressed?;
     }
     Ok(())
 }
 
-/// Bytes before a record's content: what it is, and its length.
-const RECORD_START: u64 = 9;
+fn linear(file: &mut File, size: u64, reading: &mut Reading<'_, '_>) -> Result<(), McapFileError> {
+    let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
+    let mut channels = Channels::new();
+    all_records(file, size, &mut |opcode, data| {
+        match opcode {
+            op::MESSAGE => message(data, &channels, reading)?,
+            op::SCHEMA | op::CHANNEL => match mcap::parse_record(opcode, data)? {
+                Record::Schema { header, .. } => {
+                    // Names of types that nobody asks for may be long, and many.
+                    let name = Content::of_type(&header.name).map(|_| header.name);
+                    schemas.insert(header.id, name.unwrap_or_default());
+                }
+                Record::Channel(channel) => {
+                    let type_name = schemas.get(&channel.schema_id).map_or("", String::as_str);
+                    let topic = reading.topic(&channel.topic, type_name, &channel.message_encoding);
+                    channels.extend(topic.map(|topic| (channel.id, topic)));
+                }
+                _ => {}
+            },
+            _ => {}
+        }
+        Ok(!reading.is_full())
+    })
+}
 
-/// Messages in chunks that are not compressed: the index of a chunk says where each one is, so that what
-/// lies between them is passed over.
-struct PlainMessages<'f> {
+/// Takes a message, if its channel is asked for.
+fn message(
+    data: &[u8],
+    channels: &Channels,
+    reading: &mut Reading<'_, '_>,
+) -> Result<(), McapFileError> {
+    // The channel's number, the message's, and the times of logging and publishing.
+    let (channel, rest) = data.split_first_chunk().ok_or(McapFileError::End)?;
+    let (_, rest) = rest.split_first_chunk::<4>().ok_or(McapFileError::End)?;
+    let (logged, rest) = rest.split_first_chunk().ok_or(McapFileError::End)?;
+    let (published, data) = rest.split_first_chunk().ok_or(McapFileError::End)?;
+    if let Some(topic) = channels.get(&u16::from_le_bytes(*channel)) {
+        let [logged, published] = [logged, published].map(|time| i64::from_le_bytes(*time));
+        // Where nobody noted when it was logged, it was published then.
+        reading.message(topic, if logged == 0 { published } else { logged }, data);
+    }
+    Ok(())
+}
+
+/// Gives the records before the end of the data to `take`, those in chunks too, as long as that returns
+/// true.
+fn all_records(
+    file: &mut File,
+    size: u64,
+    take: &mut impl FnMut(u8, &[u8]) -> Result<bool, McapFileError>,
+) -> Result<(), McapFileError> {
+    file.rewind()?;
+    let mut records = Records { file: BufReader::new(file), size, data: Vec::new() };
+    let mut magic = [0; MAGIC.len()];
+    records.file.read_exact(&mut magic).map_err(|_| McapFileError::Magic)?;
+    if magic != MAGIC {
+        return Err(McapFileError::Magic);
+    }
+    let mut plain = Vec::new();
+    loop {
+        let opcode = match records.next() {
+            // Of a chunk that is cut off, what is there can be whole.
+            Err(Cut { opcode: op::CHUNK, reason: McapFileError::End }) => {
+                let chunk = Chunk::new(&records.data)?;
+                // That it ends too early is told below.
+                let _ = chunk.decompress(&mut plain);
+                walk(&plain, take)?;
+                return Err(McapFileError::End);
+            }
+            opcode => opcode.map_err(|cut| cut.reason)?,
+        };
+        let goes_on = match opcode {
+            // Nothing that follows is data.
+            op::DATA_END | op::FOOTER => false,
+            op::CHUNK => {
+                let chunk = Chunk::new(&records.data)?;
+                let decompressed = chunk.decompress(&mut plain);
+                let walked = walk(&plain, take);
+                decompressed?;
+                let goes_on = walked?;
+                chunk.check(&plain)?;
+                goes_on
+            }
+            _ => take(opcode, &records.data)?,
+        };
+        if !goes_on {
+            return Ok(());
+        }
+    }
+}
+
+/// Gives records one after another to `take`, as long as that returns true; returns whether it did.
+fn walk(
+    mut bytes: &[u8],
+    take: &mut impl FnMut(u8, &[u8]) -> Result<bool, McapFileError>,
+) -> Result<bool, McapFileError> {
+    while let Some((opcode, rest)) = bytes.split_first() {
+        let (length, rest) = rest.split_first_chunk().ok_or(McapFileError::End)?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let (data, rest) = rest.split_at_checked(length).ok_or(McapFileError::End)?;
+        if !take(*opcode, data)? {
+            return Ok(false);
+        }
+        bytes = rest;
+    }
+    Ok(true)
+}
+
+/// A chunk, as far as it is there.
+struct Chunk<'a> {
+    plain_size: u64,
+    /// 0 where there is none.
+    checksum: u32,
+    compression: &'a [u8],
+    packed: &'a [u8],
+}
+
+impl<'a> Chunk<'a> {
+    fn new(data: &'a [u8]) -> Result<Self, McapFileError> {
+        let (start, rest) = data.split_first_chunk::<CHUNK_START>().ok_or(McapFileError::End)?;
+        // The first 16 bytes are times.
+        let (_, sizes) = start.split_at(16);
+        let number = |at: usize| sizes[at..at + 4].try_into().expect("four bytes");
+        let plain_size = u64::from_le_bytes(sizes[..8].try_into().expect("eight bytes"));
+        let [checksum, length] = [8, 12].map(|at| u32::from_le_bytes(number(at)));
+        let (compression, rest) =
+            rest.split_at_checked(length as usize).ok_or(McapFileError::End)?;
+        let (size, rest) = rest.split_first_chunk().ok_or(McapFileError::End)?;
+        let size = usize::try_from(u64::from_le_bytes(*size)).unwrap_or(usize::MAX);
+        // What follows is padding.
+        Ok(Self { plain_size, checksum, compression, packed: &rest[..size.min(rest.len())] })
+    }
+
+    /// Writes what it holds, as much of it as can be decompressed.
+    fn decompress(&self, plain: &mut Vec<u8>) -> Result<(), McapFileError> {
+        plain.clear();
+        let size = self.plain_size;
+        if size > LARGEST_RECORD as u64 {
+            return Err(McapFileError::Large { length: size });
+        }
+        let read = match self.compression {
+            b"" => self.packed.take(size).read_to_end(plain),
+            b"zstd" => {
+                plain.reserve(size as usize);
+                let whole = zstd::bulk::Decompressor::new().and_then(|mut decompressor| {
+                    decompressor.decompress_to_buffer(self.packed, plain)
+                });
+                // At once is faster, but of what is damaged gives nothing.
+                whole.or_else(|_| {
+                    plain.clear();
+                    zstd::Decoder::with_buffer(self.packed)?.take(size).read_to_end(plain)
+                })
+            }
+            b"lz4" => lz4::Decoder::new(self.packed)
+                .and_then(|decoder| decoder.take(size).read_to_end(plain)),
+            other => {
+                let name: String = String::from_utf8_lossy(other).chars().take(40).collect();
+                return Err(McapFileError::Compression(name));
+            }
+        };
+        read.map_err(McapFileError::Decompression)?;
+        if plain.len() as u64 == size { Ok(()) } else { Err(McapFileError::End) }
+    }
+
+    /// Compares the checksum.
+    fn check(&self, plain: &[u8]) -> Result<(), McapFileError> {
+        let mut crc = flate2::Crc::new();
+        crc.update(plain);
+        let (found, said) = (crc.sum(), self.checksum);
+        if said == 0 || found == said {
+            return Ok(());
+        }
+        Err(McapFileError::Checksum { found, said })
+    }
+}
+
+/// The records of a file.
+struct Records<'f> {
     file: BufReader<&'f mut File>,
     size: u64,
+    /// The content of the last one.
     data: Vec<u8>,
 }
 
-impl PlainMessages<'_> {
-    fn read(
+/// Why a record is not whole.
+struct Cut {
+    opcode: u8,
+    reason: McapFileError,
+}
+
+impl Records<'_> {
+    /// Reads the next record; what there is of it where it is cut off.
+    fn next(&mut self) -> Result<u8, Cut> {
+        let mut opcode = 0;
+        let read = self.next_before(self.size, &mut opcode);
+        read.map_err(|reason| Cut { opcode, reason }).map(|()| opcode)
+    }
+
+    /// Reads the record at a place, which ends before another; returns what it is.
+    fn next_at(&mut self, at: u64, end: u64) -> Result<u8, McapFileError> {
+        // To seek from here keeps what is buffered.
+        let by = i128::from(at) - i128::from(self.file.stream_position()?);
+        self.file.seek_relative(i64::try_from(by).map_err(|_| McapFileError::Index)?)?;
+        let mut opcode = 0;
+        self.next_before(end, &mut opcode)?;
+        Ok(opcode)
+    }
+
+    fn next_before(&mut self, end: u64, opcode: &mut u8) -> Result<(), McapFileError> {
+        self.data.clear();
+        let mut start = [0; RECORD_START as usize];
+        self.file.read_exact(&mut start).map_err(|_| McapFileError::End)?;
+        let [first, length @ ..] = start;
+        *opcode = first;
+        let length = u64::from_le_bytes(length);
+        let left = end.saturating_sub(self.file.stream_position()?);
+        if length.min(left) > LARGEST_RECORD as u64 {
+            return Err(McapFileError::Large { length });
+        }
+        self.file.by_ref().take(length.min(left)).read_to_end(&mut self.data)?;
+        if length > left { Err(McapFileError::End) } else { Ok(()) }
+    }
+
+    /// Takes the messages of a chunk that is not compressed: its index says where each one is, so that
+    /// what lies between them is passed over.
+    fn plain_messages(
         &mut self,
         chunk: &ChunkIndex,
-        asked_for: &BTreeMap<u16, Topic>,
+        channels: &Channels,
         reading: &mut Reading<'_, '_>,
-    ) -> Result<(), McapError> {
+    ) -> Result<(), McapFileError> {
         let start = chunk.compressed_data_offset()?;
         let end = start.checked_add(chunk.uncompressed_size).filter(|end| *end <= self.size);
-        let end = end.ok_or(McapError::UnexpectedEof)?;
+        let end = end.ok_or(McapFileError::End)?;
         let mut places = Vec::new();
         for (id, &at) in &chunk.message_index_offsets {
-            if !asked_for.contains_key(id) {
+            if !channels.contains_key(id) {
                 continue;
             }
-            if self.record(at, self.size)? != op::MESSAGE_INDEX {
-                return Err(McapError::BadIndex);
+            if self.next_at(at, self.size)? != op::MESSAGE_INDEX {
+                return Err(McapFileError::Index);
             }
             if let Record::MessageIndex(index) = mcap::parse_record(op::MESSAGE_INDEX, &self.data)?
             {
@@ -189,108 +401,24 @@ impl PlainMessages<'_> {
             if reading.is_full() {
                 break;
             }
-            let at = start.checked_add(place).ok_or(McapError::BadIndex)?;
-            if self.record(at, end)? != op::MESSAGE {
-                return Err(McapError::BadIndex);
+            let at = start.checked_add(place).ok_or(McapFileError::Index)?;
+            if self.next_at(at, end)? != op::MESSAGE {
+                return Err(McapFileError::Index);
             }
-            if let Record::Message { header, data } = mcap::parse_record(op::MESSAGE, &self.data)?
-                && let Some(topic) = asked_for.get(&header.channel_id)
-            {
-                reading.message(topic, log_nanos(&header), &data);
-            }
+            message(&self.data, channels, reading)?;
         }
         Ok(())
     }
-
-    /// Reads the record at a place, which must end before another, into `data`; returns what it is.
-    fn record(&mut self, at: u64, end: u64) -> Result<u8, McapError> {
-        // To seek from here keeps what is buffered.
-        let here = self.file.stream_position()?;
-        let by = i128::from(at) - i128::from(here);
-        self.file.seek_relative(i64::try_from(by).map_err(|_| McapError::BadIndex)?)?;
-        let mut start = [0; RECORD_START as usize];
-        self.file.read_exact(&mut start)?;
-        let [opcode, length @ ..] = start;
-        let length = u64::from_le_bytes(length);
-        let left = end.saturating_sub(at.saturating_add(RECORD_START));
-        if length > left || length > LARGEST_RECORD as u64 {
-            return Err(McapError::RecordTooLarge { opcode, len: length });
-        }
-        self.data.resize(length as usize, 0);
-        self.file.read_exact(&mut self.data)?;
-        Ok(opcode)
-    }
-}
-
-fn linear(file: &mut File, size: u64, reading: &mut Reading<'_, '_>) -> Result<(), McapError> {
-    let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
-    let mut asked_for: BTreeMap<u16, Topic> = BTreeMap::new();
-    records(file, size, |opcode, data| {
-        // Nothing that follows is data.
-        if opcode == op::DATA_END || reading.is_full() {
-            return Ok(false);
-        }
-        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-            return Ok(true);
-        }
-        match mcap::parse_record(opcode, data)? {
-            Record::Schema { header, .. } => {
-                // Names of types that nobody asks for may be long, and many.
-                let name = Content::of_type(&header.name).map(|_| header.name).unwrap_or_default();
-                schemas.insert(header.id, name);
-            }
-            Record::Channel(channel) => {
-                let type_name = schemas.get(&channel.schema_id).map_or("", String::as_str);
-                let topic = reading.topic(&channel.topic, type_name, &channel.message_encoding);
-                asked_for.extend(topic.map(|topic| (channel.id, topic)));
-            }
-            Record::Message { header, data } => {
-                if let Some(topic) = asked_for.get(&header.channel_id) {
-                    reading.message(topic, log_nanos(&header), &data);
-                }
-            }
-            _ => {}
-        }
-        Ok(true)
-    })
-}
-
-/// Gives the records of a file, those in its chunks too, to `take`, as long as that returns true.
-fn records(
-    file: &mut File,
-    size: u64,
-    mut take: impl FnMut(u8, &[u8]) -> Result<bool, McapError>,
-) -> Result<(), McapError> {
-    file.rewind()?;
-    let options = LinearReaderOptions::default()
-        .with_validate_chunk_crcs(true)
-        .with_record_length_limit(LARGEST_RECORD);
-    let mut reader = LinearReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event? {
-            LinearReadEvent::ReadRequest(need) => {
-                let need = bounded(need, file, size)?;
-                let read = file.read(reader.insert(need))?;
-                reader.notify_read(read);
-            }
-            LinearReadEvent::Record { opcode, data } => {
-                if !take(opcode, data)? {
-                    return Ok(());
-                }
-            }
-        }
-    }
-    Ok(())
 }
 
 /// Walks through a file without its index, and counts the messages.
 #[cfg(test)]
-pub(super) fn count_messages(file: &mut File) -> Result<usize, McapError> {
+pub(super) fn count_messages(file: &mut File) -> Result<usize, McapFileError> {
     let size = file.metadata()?.len();
     let mut messages = 0;
-    records(file, size, |opcode, _| {
+    all_records(file, size, &mut |opcode, _| {
         messages += usize::from(opcode == op::MESSAGE);
-        Ok(opcode != op::DATA_END)
+        Ok(true)
     })?;
     Ok(messages)
 }

@@ -24,21 +24,28 @@ pub(super) enum SqliteError {
 
 /// Reads the messages of a file. Rows of other topics are passed over without their data.
 pub(super) fn read(path: &Path, reading: &mut Reading<'_, '_>) -> Result<(), SqliteError> {
+    // Unless there is a log to be read, nothing is to be written beside the file, as SQLite does with
+    // those that rosbag2 leaves; the folder may not even allow it.
+    let log = fs::metadata(path.with_extension("db3-wal"));
+    if !log.is_ok_and(|log| log.len() > 0) {
+        return messages(&alone(path)?, reading);
+    }
     let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
     let schema: Result<i64, Error> =
         connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0));
     if schema.is_err_and(|e| e.sqlite_error_code() == Some(ErrorCode::CannotOpen)) {
-        // As rosbag2 leaves it, SQLite opens it only where it may write beside it, unless it is told that
-        // nobody else writes.
-        let name = path.to_string_lossy();
-        let name = name.replace('%', "%25").replace('?', "%3f").replace('#', "%23");
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
-        let connection = Connection::open_with_flags(format!("file:{name}?immutable=1"), flags)?;
-        messages(&connection, reading)?;
-        let log = fs::metadata(path.with_extension("db3-wal"));
-        return if log.is_ok_and(|log| log.len() > 0) { Err(SqliteError::Log) } else { Ok(()) };
+        messages(&alone(path)?, reading)?;
+        return Err(SqliteError::Log);
     }
     messages(&connection, reading)
+}
+
+/// Opens a file as it is, whatever is beside it.
+fn alone(path: &Path) -> Result<Connection, Error> {
+    let name = path.to_string_lossy();
+    let name = name.replace('%', "%25").replace('?', "%3f").replace('#', "%23");
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
+    Connection::open_with_flags(format!("file:{name}?immutable=1"), flags)
 }
 
 /// Reads the messages of an open file.
