@@ -387,7 +387,8 @@ mod tests {
             open: 0.05,
         };
         let hand = GripperChannel { name: "hand".into(), source };
-        Channels { joints: ["a", "b"].map(String::from).to_vec(), grippers: vec![hand] }
+        let joints = ["a", "b"].map(String::from).to_vec();
+        Channels { joints, grippers: vec![hand], ..Channels::default() }
     }
 
     fn read_text(text: impl AsRef<[u8]>) -> Result<CsvRecording, CsvError> {

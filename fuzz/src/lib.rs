@@ -32,7 +32,8 @@ pub fn channels() -> Channels {
         open: 50.0,
     };
     let gripper = GripperChannel { name: "g".into(), source };
-    Channels { joints: ["a", "b"].map(String::from).to_vec(), grippers: vec![gripper] }
+    let joints = ["a", "b"].map(String::from).to_vec();
+    Channels { joints, grippers: vec![gripper], ..Channels::default() }
 }
 
 /// Reads a bag of that name.

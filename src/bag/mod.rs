@@ -528,7 +528,7 @@ mod tests {
         let mut files = Vec::new();
         below(Path::new(&folder), &mut files);
         assert!(!files.is_empty(), "no bag below {}", Path::new(&folder).display());
-        let channels = Channels { joints: vec!["a".into()], grippers: Vec::new() };
+        let channels = Channels { joints: vec!["a".into()], ..Channels::default() };
         let (mut complaints, mut with_joints) = (Vec::new(), 0);
         for path in &files {
             let read = Bag::of_file(path).read(&channels);

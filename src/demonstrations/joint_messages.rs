@@ -120,7 +120,7 @@ impl<'a> JointMessages<'a> {
         time: MessageTime,
         angles: impl IntoIterator<Item = (&'n str, f64)>,
     ) {
-        let Channels { joints, grippers } = self.channels;
+        let Channels { joints, grippers, .. } = self.channels;
         let mut told = Vec::with_capacity(joints.len() + grippers.len());
         let mut tell = |what: Told, value: f64| {
             if told.iter().all(|(other, _)| *other != what) {
