@@ -45,6 +45,11 @@ fn joint_state(nanos: u64, names: &[String], positions: &[f64]) -> Vec<u8> {
 
 /// A recording as a bag in which Baxter's fingers are joints.
 fn write(recording: &JointRecording, path: &Path) {
+    write_with(recording, &[], path);
+}
+
+/// Such a bag with other messages: topic, type, time and data of each.
+fn write_with(recording: &JointRecording, others: &[(&str, &str, f64, Vec<u8>)], path: &Path) {
     let file = File::create(path).expect("a file");
     let mut writer = mcap::Writer::new(file).expect("a bag");
     let schema = Schema {
@@ -77,12 +82,123 @@ fn write(recording: &JointRecording, path: &Path) {
         };
         writer.write(&message).expect("written");
     }
+    for (topic, type_name, time, data) in others {
+        let nanos = 1_700_000_000_000_000_000 + (time * 1e9).round() as u64;
+        let schema = writer.add_schema(type_name, "ros2msg", b"").expect("a schema");
+        let channel = writer.add_channel(schema, topic, "cdr", &Default::default());
+        let header = mcap::records::MessageHeader {
+            channel_id: channel.expect("a channel"),
+            sequence: 0,
+            log_time: nanos,
+            publish_time: nanos,
+        };
+        writer.write_to_known_channel(&header, data).expect("written");
+    }
     writer.finish().expect("finished");
 }
 
 fn inspected(path: &str, folder: &Path) -> Value {
     let output = tcvae(&["inspect", path, "--json"], folder);
     serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+/// A point in CDR, without a stamp.
+fn point(frame: &str, [x, y]: [f64; 2]) -> Vec<u8> {
+    let mut data = vec![0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    data.extend((frame.len() as u32 + 1).to_le_bytes());
+    data.extend(frame.bytes().chain([0]));
+    while data.len() % 8 != 4 {
+        data.push(0);
+    }
+    [x, y, 0.0].iter().for_each(|value| data.extend(value.to_le_bytes()));
+    data
+}
+
+#[test]
+fn a_topic_says_where_the_pour_was_to_be_and_a_marker_where_a_demonstration_ends() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let simulate = ["simulate", "pouring", "--seed", "6", "--count", "14", "-o", "mime"];
+    assert_eq!(tcvae(&simulate, path).status.code(), Some(0));
+    let mime = inspected("mime", path);
+    let demonstrations = mime["demonstrations"].as_array().expect("a list");
+    let channels = RobotConfig::default().channels();
+    let read = |demonstration: &Value| {
+        let id = demonstration["id"].as_str().expect("a name");
+        mime::read(&path.join("mime").join(id), &channels).expect("readable").recording
+    };
+    let number = |v: &Value| v.as_f64().expect("a number");
+    let place = |d: &Value| [0, 1].map(|i| number(&d["task"]["pour_location"][i]));
+    let accepted = |arm: &str| {
+        demonstrations.iter().find(|d| d["accepted"] == true && d["arm"] == arm).expect("one")
+    };
+    let task = |more: &str| {
+        let base = format!("based_on = \"{}/config/tasks/pour.toml\"", env!("CARGO_MANIFEST_DIR"));
+        fs::write(path.join("task.toml"), format!("{base}\n{more}")).expect("written");
+    };
+    let locations = "[[locations]]\nname = \"pour_location\"\nat = \"action\"\ntopic = \"/bowl\"\n\
+                     [[locations]]\nname = \"source_cup\"\nat = \"start\"\n";
+    task(locations);
+    let inspect = |bag: &str| {
+        let output = tcvae(&["inspect", bag, "--task", "task.toml", "--json"], path);
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        answer["demonstrations"].clone()
+    };
+    let type_name = "geometry_msgs/msg/PointStamped";
+    for (arm, sign) in [("left", 1.0), ("right", -1.0)] {
+        let demonstration = accepted(arm);
+        // 2 cm beside where the motion shows it, in the base frame, where the right arm is not mirrored.
+        let [x, y] = place(demonstration);
+        let told = |by: f64| ("/bowl", type_name, 0.5, point("base", [x + by, sign * y]));
+        let later = ("/bowl", type_name, 9e3, point("base", [0.0, 0.0]));
+        write_with(&read(demonstration), &[told(0.02), later], &path.join("a.mcap"));
+        let found = &inspect("a.mcap")[0];
+        assert_eq!(found["accepted"], true, "{found}");
+        let off = [place(found)[0] - x, place(found)[1] - y];
+        assert!((off[0] - 0.02).abs() < 1e-6 && off[1].abs() < 1e-6, "{off:?}");
+
+        write_with(&read(demonstration), &[told(0.08)], &path.join("b.mcap"));
+        let found = &inspect("b.mcap")[0];
+        assert_eq!(found["reason"], "out_of_region");
+        let said = "the motion is 0.080 m from pour_location on /bowl, limit 0.05 m";
+        assert_eq!(found["detail"], said);
+    }
+    let demonstration = accepted("left");
+    let odd = ("/bowl", type_name, 0.5, point("camera", [0.6, 0.2]));
+    write_with(&read(demonstration), &[odd], &path.join("c.mcap"));
+    assert_eq!(
+        inspect("c.mcap")[0]["detail"],
+        "/bowl is in the frame \"camera\"; \"base\" is needed"
+    );
+    write(&read(demonstration), &path.join("d.mcap"));
+    let said = "pour_location is on the topic /bowl, which has no point or pose in the recording";
+    assert_eq!(inspect("d.mcap")[0]["detail"], said);
+
+    // Two recordings in one, and a mark of any type between them.
+    task("[recording]\ncut_at = { marker = \"/next\" }\n");
+    let (first, second) = (accepted("left"), accepted("right"));
+    let (mut both, more) = (read(first), read(second));
+    let end = both.times_secs[both.times_secs.len() - 1];
+    // The arms come to where the next begins.
+    let frames = 200;
+    let (a, b) = (both.positions[both.positions.len() - 1].clone(), more.positions[0].clone());
+    for i in 1..frames {
+        let share = f64::from(i) / f64::from(frames);
+        both.positions.push(a.iter().zip(&b).map(|(a, b)| a + share * (b - a)).collect());
+        both.times_secs.push(end + 0.01 * f64::from(i));
+        both.grippers.iter_mut().for_each(|g| g.percent_open.push(100.0));
+    }
+    let start = end + 0.01 * f64::from(frames);
+    both.times_secs.extend(more.times_secs.iter().map(|t| t + start));
+    both.positions.extend(more.positions);
+    for (gripper, more) in both.grippers.iter_mut().zip(more.grippers) {
+        gripper.percent_open.extend(more.percent_open);
+    }
+    let mark = ("/next", "my_msgs/msg/Mark", start, vec![9, 9]);
+    write_with(&both, &[mark], &path.join("e.mcap"));
+    let found = inspect("e.mcap");
+    let arms: Vec<_> = found.as_array().expect("a list").iter().map(|d| &d["arm"]).collect();
+    assert_eq!(arms, ["left", "right"], "{found}");
 }
 
 #[test]
@@ -308,7 +424,10 @@ fn an_archive_is_read_as_the_folder_that_was_packed() {
     // A file of one stands for it, and so does an archive of its files alone; bags may be in one too.
     let first = of_mime["demonstrations"][0]["id"].as_str().expect("a name");
     let of_file = inspected(&format!("mime/{first}/joint_angles.txt"), path);
-    assert_eq!(of_file["demonstrations"][0], of_mime["demonstrations"][0]);
+    // Without the others it has no neighbour.
+    let mut alone = of_mime["demonstrations"][0].clone();
+    alone["nearest"] = Value::Null;
+    assert_eq!(of_file["demonstrations"][0], alone);
     let mut one = Vec::new();
     files_below(&path.join("mime").join(first), "", &mut one);
     let bags = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/bags");

@@ -30,6 +30,13 @@ pub(super) enum Content {
     JointStates,
     /// A number of `std_msgs`.
     Number(Number),
+    /// Where something is: `geometry_msgs/PointStamped`, or `PoseStamped` and the like, whose position comes
+    /// first.
+    Point,
+    /// Where something is: `geometry_msgs/TransformStamped`.
+    Transform,
+    /// That it came is all that is asked for, whatever its type.
+    Mark,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,6 +62,10 @@ impl Content {
         let message = message.strip_prefix("msg/").unwrap_or(message);
         let number = match (package, message) {
             ("sensor_msgs", "JointState") => return Some(Self::JointStates),
+            ("geometry_msgs", "PointStamped" | "PoseStamped" | "PoseWithCovarianceStamped") => {
+                return Some(Self::Point);
+            }
+            ("geometry_msgs", "TransformStamped") => return Some(Self::Transform),
             ("std_msgs", "Bool") => Number::Bool,
             ("std_msgs", "Int8") => Number::Int8,
             ("std_msgs", "Int16") => Number::Int16,
@@ -94,16 +105,14 @@ pub(super) fn take(
     log_nanos: i64,
     data: &[u8],
 ) -> Result<(), MessageError> {
+    if content == Content::Mark {
+        messages.mark(MessageTime { log_nanos, stamp_nanos: None });
+        return Ok(());
+    }
     let mut fields = Fields::new(encoding, data)?;
     match content {
         Content::JointStates => {
-            if encoding == Encoding::Ros1 {
-                fields.u32()?; // seq
-            }
-            // In ROS 1 seconds have no sign; none of either is beyond 2038 yet.
-            let (secs, nanos) = (fields.u32()?.cast_signed(), fields.u32()?);
-            let stamp = i64::from(secs) * 1_000_000_000 + i64::from(nanos);
-            fields.text()?; // frame_id
+            let (time, _) = fields.header(log_nanos)?;
             // A text has at least its length.
             let names = fields.count(4)?;
             let mut texts = fields.clone();
@@ -116,7 +125,6 @@ pub(super) fn take(
                 let positions = positions.len();
                 return Err(MessageError::Lengths { names, positions });
             }
-            let time = MessageTime { log_nanos, stamp_nanos: (stamp != 0).then_some(stamp) };
             // Read once more rather than kept: a message may hold millions of names.
             let angles = positions.map_while(|position| Some((texts.text().ok()?, position)));
             messages.joint_states(topic, time, angles);
@@ -125,6 +133,15 @@ pub(super) fn take(
             let value = fields.number(number)?;
             messages.gripper(topic, MessageTime { log_nanos, stamp_nanos: None }, value);
         }
+        Content::Point | Content::Transform => {
+            let (time, frame) = fields.header(log_nanos)?;
+            if content == Content::Transform {
+                fields.text()?; // child_frame_id
+            }
+            let position = [fields.f64()?, fields.f64()?, fields.f64()?];
+            messages.point(topic, time, frame, position);
+        }
+        Content::Mark => {}
     }
     Ok(())
 }
@@ -176,6 +193,22 @@ impl<'a> Fields<'a> {
         };
         self.at += count;
         Ok(bytes)
+    }
+
+    /// When a message was sent, and its frame.
+    fn header(&mut self, log_nanos: i64) -> Result<(MessageTime, &'a str), MessageError> {
+        if self.encoding == Encoding::Ros1 {
+            self.u32()?; // seq
+        }
+        // In ROS 1 seconds have no sign; none of either is beyond 2038 yet.
+        let (secs, nanos) = (self.u32()?.cast_signed(), self.u32()?);
+        let stamp = i64::from(secs) * 1_000_000_000 + i64::from(nanos);
+        let time = MessageTime { log_nanos, stamp_nanos: (stamp != 0).then_some(stamp) };
+        Ok((time, self.text()?))
+    }
+
+    fn f64(&mut self) -> Result<f64, MessageError> {
+        Ok(f64::from_le_bytes(self.value()?))
     }
 
     fn u32(&mut self) -> Result<u32, MessageError> {
@@ -349,5 +382,44 @@ mod tests {
         assert_eq!(Content::of_type("my_msgs/msg/JointState"), None);
         assert_eq!(Content::of_type("sensor_msgs/x/JointState"), None);
         assert_eq!(Content::of_type(""), None);
+    }
+
+    #[test]
+    fn where_something_is_is_read_from_points_poses_and_transforms_of_both_ros() {
+        // What rosbags 0.11.9 writes of (0.5, -0.25, 1.5) in "base" at 3.0000005 s, of a bowl.
+        let header = "03000000f4010000";
+        let point = "000000000000e03f000000000000d0bf000000000000f83f";
+        let turn = "000000000000000000000000000000000000000000000000000000000000f03f";
+        let cdr = format!("00010000{header}0500000062617365");
+        let ros1 = format!("07000000{header}0400000062617365");
+        for (encoding, name, hex) in [
+            (Encoding::Cdr, "PointStamped", format!("{cdr}00{}{point}", "00".repeat(7))),
+            (Encoding::Cdr, "PoseStamped", format!("{cdr}00{}{point}{turn}", "00".repeat(7))),
+            (
+                Encoding::Cdr,
+                "TransformStamped",
+                format!("{cdr}0000000005000000626f776c00000000{point}{turn}"),
+            ),
+            (Encoding::Ros1, "PointStamped", format!("{ros1}{point}")),
+            (Encoding::Ros1, "PoseStamped", format!("{ros1}{point}{turn}")),
+            (Encoding::Ros1, "TransformStamped", format!("{ros1}04000000626f776c{point}{turn}")),
+        ] {
+            let data: Vec<u8> = (0..hex.len())
+                .step_by(2)
+                .map(|i| u8::from_str_radix(&hex[i..i + 2], 16).unwrap())
+                .collect();
+            let channels = channels();
+            let mut messages = JointMessages::new(&channels);
+            let content = Content::of_type(&format!("geometry_msgs/msg/{name}")).unwrap();
+            take(&mut messages, "/bowl", content, encoding, 5, &data).unwrap();
+            let points = messages.assemble("r").recording.points;
+            assert_eq!((points[0].topic.as_str(), points[0].frame.as_str()), ("/bowl", "base"));
+            assert_eq!(points[0].positions_m, [[0.5, -0.25, 1.5]], "{name}");
+            for end in 0..data.len().min(60) {
+                let mut messages = JointMessages::new(&channels);
+                let cut = take(&mut messages, "/bowl", content, encoding, 5, &data[..end]);
+                assert!(cut.is_err(), "{name} of {end} bytes");
+            }
+        }
     }
 }

@@ -221,12 +221,23 @@ impl Bag {
 impl Reading<'_, '_> {
     /// A topic that is asked for; none for others.
     fn topic(&mut self, name: &str, type_name: &str, encoding: &str) -> Option<Topic> {
-        let content = Content::of_type(type_name)?;
-        let of_gripper =
-            || self.channels.grippers.iter().any(|g| g.source.topic.as_deref() == Some(name));
-        if content != Content::JointStates && !of_gripper() {
-            return None;
-        }
+        let Channels { joints: _, grippers, points, marker } = self.channels;
+        let of_gripper = || grippers.iter().any(|g| g.source.topic.as_deref() == Some(name));
+        let content = match Content::of_type(type_name) {
+            _ if marker.as_deref() == Some(name) => {
+                // Whatever it holds, and however that is encoded.
+                let (content, encoding) = (Content::Mark, Encoding::Ros1);
+                return Some(Topic { name: name.into(), content, encoding });
+            }
+            Some(content @ Content::JointStates) => content,
+            Some(content @ Content::Number(_)) if of_gripper() => content,
+            Some(content @ (Content::Point | Content::Transform))
+                if points.iter().any(|topic| topic == name) =>
+            {
+                content
+            }
+            _ => return None,
+        };
         let unread = if name.len() > LONGEST_NAME {
             format!("a topic has a name of {} bytes, of which {LONGEST_NAME} are read", name.len())
         } else if let Some(encoding) = Encoding::named(encoding) {

@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::recording::{Channels, GripperRecording, JointRecording};
+use super::recording::{Channels, GripperRecording, JointRecording, PointRecording};
 
 /// Stamps are no clock when their span differs from the log's by more than this, and by more than
 /// [`SPAN_SHARE`] of it.
@@ -55,6 +55,9 @@ pub enum Told {
 pub struct JointMessages<'a> {
     channels: &'a Channels,
     publishers: BTreeMap<String, Publisher>,
+    /// What topics said of where something is.
+    points: BTreeMap<String, Points>,
+    marks: Vec<MessageTime>,
     other_joints: BTreeSet<String>,
     not_finite: usize,
     /// Numbers that may still be kept.
@@ -70,6 +73,15 @@ struct Publisher {
     columns: Vec<Column>,
     /// Row by row: rad of a joint, per cent open of a gripper; NaN of what a message did not tell.
     values: Vec<f64>,
+}
+
+/// Where something was, as a topic said.
+#[derive(Debug, Default)]
+struct Points {
+    /// The frame of the first message; those in another one are left out.
+    frame: String,
+    times: Vec<MessageTime>,
+    positions_m: Vec<[f64; 3]>,
 }
 
 /// One thing that a publisher speaks of.
@@ -104,7 +116,9 @@ impl<'a> JointMessages<'a> {
     /// No message so far, and room for that many numbers.
     fn with_room(channels: &'a Channels, room: usize) -> Self {
         let (publishers, other_joints) = (BTreeMap::new(), BTreeSet::new());
-        Self { channels, publishers, other_joints, not_finite: 0, room, is_full: false }
+        let (points, marks) = (BTreeMap::new(), Vec::new());
+        let (not_finite, is_full) = (0, false);
+        Self { channels, publishers, points, marks, other_joints, not_finite, room, is_full }
     }
 
     /// Whether a message found no room: that one and those after it are left out.
@@ -152,6 +166,50 @@ impl<'a> JointMessages<'a> {
         self.told(topic, time, &of_topic.collect::<Vec<_>>());
     }
 
+    /// Takes where a topic says that something is, in a frame.
+    pub fn point(&mut self, topic: &str, time: MessageTime, frame: &str, position_m: [f64; 3]) {
+        if !position_m.iter().all(|value| value.is_finite()) {
+            self.not_finite += 1;
+            return;
+        }
+        let of_topic = match self.points.contains_key(topic) {
+            true => 0,
+            false => NUMBERS_PER_PUBLISHER + (topic.len() + frame.len()) / size_of::<f64>(),
+        };
+        if !self.takes(of_topic + NUMBERS_PER_MESSAGE + position_m.len()) {
+            return;
+        }
+        let points = self.points.entry(topic.into()).or_default();
+        if points.times.is_empty() {
+            points.frame = frame.into();
+        }
+        if points.frame == frame {
+            points.times.push(time);
+            points.positions_m.push(position_m);
+        }
+    }
+
+    /// Takes a mark between two demonstrations.
+    pub fn mark(&mut self, time: MessageTime) {
+        if self.takes(NUMBERS_PER_MESSAGE) {
+            self.marks.push(time);
+        }
+    }
+
+    /// Whether there is room for so many numbers, which is used then.
+    fn takes(&mut self, needed: usize) -> bool {
+        match self.room.checked_sub(needed) {
+            Some(left) if !self.is_full => {
+                self.room = left;
+                true
+            }
+            _ => {
+                self.is_full = true;
+                false
+            }
+        }
+    }
+
     /// Takes the values of one message, each of another thing.
     pub fn told(&mut self, publisher: &str, time: MessageTime, told: &[(Told, f64)]) {
         let joints = self.channels.joints.len();
@@ -175,12 +233,11 @@ impl<'a> JointMessages<'a> {
         let needed = new_columns * rows
             + (NUMBERS_PER_MESSAGE + columns + new_columns)
             + if known.is_none() { of_publisher } else { 0 };
-        let Some(left) = self.room.checked_sub(needed) else {
-            self.is_full = true;
+        let is_new = known.is_none();
+        if !self.takes(needed) {
             return;
-        };
-        self.room = left;
-        if known.is_none() {
+        }
+        if is_new {
             self.publishers.insert(publisher.into(), Publisher::default());
         }
         self.publishers.get_mut(publisher).expect("just inserted").push(time, finite());
@@ -246,13 +303,47 @@ impl<'a> JointMessages<'a> {
             times_secs: frames.iter().map(|t| nanos_between(frames[0], *t) * 1e-9).collect(),
             positions,
             joint_names: joints.iter().map(|&joint| self.channels.joints[joint].clone()).collect(),
-            points: Vec::new(),
-            marks_secs: Vec::new(),
+            points: self
+                .points
+                .iter()
+                .map(|(topic, p)| p.assemble(topic, &frames, log_runs))
+                .collect(),
+            marks_secs: self.marks_secs(&frames),
         };
         let incomplete = all - frames.len();
         let other_joints = self.other_joints.iter().cloned().collect();
         let not_finite = self.not_finite;
         Assembled { recording, other_joints, not_finite, doubled, incomplete }
+    }
+}
+
+impl JointMessages<'_> {
+    /// When marks were set, after the first of these frames; in order.
+    fn marks_secs(&self, frames: &[i64]) -> Vec<f64> {
+        let Some(&first) = frames.first() else { return Vec::new() };
+        let mut marks: Vec<f64> =
+            self.marks.iter().map(|mark| nanos_between(first, mark.log_nanos) * 1e-9).collect();
+        marks.sort_by(f64::total_cmp);
+        marks
+    }
+}
+
+impl Points {
+    /// In the order of time, counted from the first of these frames.
+    fn assemble(&self, topic: &str, frames: &[i64], log_runs: bool) -> PointRecording {
+        let first = frames.first().copied().unwrap_or(0);
+        let clock = clock(&self.times, log_runs);
+        let mut order: Vec<_> = clock.into_iter().zip(0..).collect();
+        order.sort_unstable();
+        PointRecording {
+            topic: topic.into(),
+            frame: self.frame.clone(),
+            times_secs: order
+                .iter()
+                .map(|(nanos, _)| nanos_between(first, *nanos) * 1e-9)
+                .collect(),
+            positions_m: order.iter().map(|(_, i): &(i64, usize)| self.positions_m[*i]).collect(),
+        }
     }
 }
 
