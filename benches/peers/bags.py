@@ -1,13 +1,14 @@
-"""A bag with a camera in it, of which only the joint states are asked for: `tcvae inspect` beside Python's
-readers, and beside a program that only reads and decompresses the chunks that hold joint states.
+"""A bag with a camera in it, of which only the joint states are asked for: our reader beside Python's, and
+beside only reading and decompressing the chunks that hold joint states.
 
 The bags have images of 640 x 480 at 30 Hz with some noise, uncompressed, and Baxter's joint states at
 100 Hz: as MCAP in plain chunks and in zstd's, and in SQLite. All run in turns on files that the system
-has in memory; Python is timed without its start, and does not decode what it reads.
+has in memory, and are timed without their start; Python once without decoding what it reads. The memory
+is that of all of `tcvae inspect`.
 
     python3 -m venv .venv-peers
     .venv-peers/bin/pip install numpy rosbags==0.11.9 mcap==1.6.0
-    cargo build --release --bin tcvae --example read_chunks
+    cargo build --release --bin tcvae --example peer_bags
     .venv-peers/bin/python benches/peers/bags.py [--megabytes 1000] [--rounds 5] [--target target/release]
 """
 
@@ -60,6 +61,7 @@ def messages(megabytes):
             )
         else:
             position = 0.3 * np.sin(0.01 * i + np.arange(len(NAMES)))
+            position[14:16] = 0.0208
             message = types[TYPES[topic]](
                 header=header, name=NAMES, position=position, velocity=empty, effort=empty
             )
@@ -100,27 +102,25 @@ def run(command):
     return secs, usage.ru_maxrss / 1024, output
 
 
-def ours(target, path, expected):
-    secs, megabytes, output = run([target / "tcvae", "inspect", path, "--json"])
-    found = json.loads(output)["demonstrations"]
-    duration = sum(d["duration_secs"] for d in found)
-    frames = round(sum(d["duration_secs"] * d["rate_hz"] for d in found)) + len(found)
-    assert frames == expected, f"{frames} frames of {expected} in {duration} s: {found}"
-    return secs, megabytes
-
-
-def python(path):
-    """Seconds for the messages of the one topic, not decoded."""
+def python(path, decodes):
+    """Seconds for the messages of the one topic, and how many they are."""
     start, count = time.perf_counter(), 0
+
+    def take(data):
+        nonlocal count
+        count += 1
+        if decodes:
+            store.deserialize_cdr(data, TYPES[JOINTS])
+
     if path.suffix == ".mcap":
         with path.open("rb") as file:
-            for _ in make_reader(file).iter_messages(topics=[JOINTS]):
-                count += 1
+            for _, _, message in make_reader(file).iter_messages(topics=[JOINTS]):
+                take(message.data)
     else:
         with rosbag2.Reader(path) as reader:
             wanted = [c for c in reader.connections if c.topic == JOINTS]
-            for _ in reader.messages(connections=wanted):
-                count += 1
+            for _, _, data in reader.messages(connections=wanted):
+                take(data)
     return time.perf_counter() - start, count
 
 
@@ -139,30 +139,27 @@ def main():
             "zstd.mcap": lambda path: write_mcap(path, CompressionType.ZSTD, args.megabytes),
             "sqlite": lambda path: write_sqlite(path, args.megabytes),
         }
-        print("bag | MB | ours s | ours MB of memory | chunks s | ratio | Python s | times faster")
+        titles = "bag, MB, ours s, chunks s, ratio, Python s, times, decoded s, times, inspect s, inspect MB"
+        print(" | ".join(titles.split(", ")))
         for name, make in makers.items():
             path = folder / name
             if not path.exists():
                 make(path)
             files = [path] if path.is_file() else list(path.iterdir())
             size = sum(file.stat().st_size for file in files) / 1e6
-            rows = []
+            rounds = []
             for _ in range(args.rounds):
-                python_secs, count = python(path)
-                secs, memory = ours(args.target, path, count)
-                chunks = None
-                if path.suffix == ".mcap":
-                    reader = args.target / "examples" / "read_chunks"
-                    chunks = run([reader, path, JOINTS])[0]
-                rows.append((secs, memory, chunks, python_secs))
-            secs, memory, python_secs = (statistics.median(r[i] for r in rows) for i in (0, 1, 3))
-            cells = [name, f"{size:.0f}", f"{secs:.3f}", f"{memory:.0f}"]
-            if rows[0][2] is None:
-                cells += ["", ""]
-            else:
-                chunks = statistics.median(r[2] for r in rows)
-                cells += [f"{chunks:.3f}", f"{secs / chunks:.2f}"]
-            print(" | ".join([*cells, f"{python_secs:.3f}", f"{python_secs / secs:.1f}"]), flush=True)
+                as_bytes, count = python(path, False)
+                decoded, _ = python(path, True)
+                ours = json.loads(run([args.target / "examples" / "peer_bags", path, JOINTS])[2])
+                assert ours["frames"] == count, (ours, count)
+                secs, memory, _ = run([args.target / "tcvae", "inspect", path, "--json"])
+                rounds.append((ours["secs"], ours["chunk_secs"], as_bytes, decoded, secs, memory))
+            ours, chunks, as_bytes, decoded, secs, memory = map(statistics.median, zip(*rounds))
+            cells = [name, f"{size:.0f}", f"{ours:.3f}"]
+            cells += [f"{chunks:.3f}", f"{ours / chunks:.2f}"] if path.is_file() else ["", ""]
+            cells += [f"{as_bytes:.3f}", f"{as_bytes / ours:.1f}", f"{decoded:.3f}", f"{decoded / ours:.1f}"]
+            print(" | ".join([*cells, f"{secs:.3f}", f"{memory:.0f}"]), flush=True)
 
 
 if __name__ == "__main__":

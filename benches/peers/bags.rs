@@ -1,19 +1,39 @@
-//! Reads and decompresses the chunks of an MCAP file that hold messages of a topic, and does nothing with
-//! them: what any reader of that topic must do. bags.py sets `tcvae inspect` beside it.
+//! Seconds to read the joint states of a bag with our reader, and to only read and decompress the chunks of
+//! an MCAP file that hold a topic, which any reader of it must do. bags.py sets Python's readers beside it.
 //!
-//! `read_chunks FILE TOPIC`
+//! `peer_bags BAG TOPIC`
 
 use std::error::Error;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+use std::time::Instant;
 
 use mcap::sans_io::{SummaryReadEvent, SummaryReader};
+use tcvae::bag::Bag;
+use tcvae::demonstrations::recording::RobotConfig;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let (Some(path), Some(topic)) = (arguments.next(), arguments.next()) else {
-        return Err("read_chunks FILE TOPIC".into());
+        return Err("peer_bags BAG TOPIC".into());
     };
+    let start = Instant::now();
+    let bags = Bag::find(Path::new(&path))?;
+    let read = bags.first().ok_or("no bag")?.read(&RobotConfig::default().channels())?;
+    let secs = start.elapsed().as_secs_f64();
+    let frames = read.recording.times_secs.len();
+    let start = Instant::now();
+    let bytes = if Path::new(&path).is_file() { chunks(&path, &topic)? } else { 0 };
+    let chunk_secs = start.elapsed().as_secs_f64();
+    println!(
+        "{{\"secs\": {secs}, \"frames\": {frames}, \"chunk_secs\": {chunk_secs}, \"chunk_bytes\": {bytes}}}"
+    );
+    Ok(())
+}
+
+/// Reads and decompresses the chunks that hold messages of a topic; returns their bytes.
+fn chunks(path: &str, topic: &str) -> Result<usize, Box<dyn Error>> {
     let mut file = File::open(path)?;
     let mut reader = SummaryReader::new();
     while let Some(event) = reader.next_event() {
@@ -40,11 +60,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             "" => packed.len(),
             "zstd" => {
                 plain.resize(usize::try_from(chunk.uncompressed_size)?, 0);
-                decompressor.decompress_to_buffer(&packed, &mut plain)?
+                decompressor.decompress_to_buffer(&packed, &mut plain[..])?
             }
             other => return Err(format!("chunks are compressed by {other}").into()),
         };
     }
-    println!("{bytes}");
-    Ok(())
+    Ok(bytes)
 }
