@@ -14,6 +14,8 @@ pub(crate) mod sources;
 pub(crate) mod sweep;
 pub(crate) mod train;
 
+#[cfg(unix)]
+use std::fs::Permissions;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -60,7 +62,7 @@ pub(crate) fn print_json(answer: &impl Serialize) {
     print_line(&text);
 }
 
-/// Writes a file beside its place first, so that no one reads half of it.
+/// Writes a file beside its place first, so that no one reads half of it; readable by all.
 pub(crate) fn write_whole(path: &Path, text: &str) -> anyhow::Result<()> {
     write_with(path, |file| Ok(file.write_all(text.as_bytes())?))
 }
@@ -79,6 +81,11 @@ pub(crate) fn write_with(
     let mut buffer = BufWriter::new(file);
     content(&mut buffer)?;
     let file = buffer.into_inner().map_err(|e| refused(e.into_error()))?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        file.as_file().set_permissions(Permissions::from_mode(0o644)).map_err(refused)?;
+    }
     file.persist(path).map_err(|e| refused(e.error))?;
     Ok(())
 }
