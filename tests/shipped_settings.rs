@@ -1,6 +1,5 @@
 //! The settings under `config/` are what the program does without them, and what the figures were made with.
 #![cfg(feature = "train")]
-#![expect(clippy::unwrap_used, reason = "a test that panics says where")]
 
 use tcvae::demonstrations::pouring;
 use tcvae::training::TrainingConfig;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use tcvae::demonstrations::{Demonstration, TaskConfig};
 
@@ -134,7 +134,7 @@ fn states(task: &TaskConfig, demonstration: &Demonstration) -> Vec<Vec<f64>> {
 
 /// What there is to say of a demonstration.
 #[cfg(feature = "bag")]
-fn about(data: &Data, part: &str, demonstration: &Demonstration) -> Value {
+fn about(data: &Data, part: &str, demonstration: &Demonstration) -> serde_json::Value {
     let task = data.task.task();
     let names = task.task_space().value_names();
     let w: serde_json::Map<_, _> =
