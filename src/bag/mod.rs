@@ -6,7 +6,7 @@
 //! there, it says which files belong together. What is damaged is left out and told; what comes before the
 //! damage is kept.
 //!
-//! Memory is bounded whatever a file holds: by [`LARGEST_RECORD`] for what is read at a time, and by
+//! Memory is bounded whatever a file holds: by 256 MiB for what is read at a time, and by
 //! what [`JointMessages`] keeps.
 
 pub mod definitions;
