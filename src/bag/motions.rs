@@ -30,7 +30,7 @@ pub struct PlayedMotion {
 pub struct PlayedRobot {
     /// The frame of the poses.
     pub base_frame: String,
-    /// The frame that moves.
+    /// The link whose pose it is.
     pub tip_frame: String,
     /// Names of the joints, in the order of their positions; empty where there are none.
     pub joint_names: Vec<String>,
@@ -42,8 +42,8 @@ pub struct PlayedRobot {
 ///
 /// # Topics
 /// `/motion` (`std_msgs/String`, what there is to say of a motion, at its start), `/tip_path`
-/// (`nav_msgs/Path`, likewise), `/tip_pose` (`geometry_msgs/PoseStamped`), `/tf`, and, of robots with
-/// joints, `/joint_states` and `/robot_description`. Everything happens from 1 s after the epoch on.
+/// (`nav_msgs/Path`, likewise), `/tip_pose` (`geometry_msgs/PoseStamped`), `/tf` (from the base to
+/// `TIP_of_motion`), and, of robots with joints, `/joint_states` and `/robot_description`. Everything happens from 1 s after the epoch on.
 ///
 /// # Errors
 /// The file can't be written; its name does not end with `.mcap`.
@@ -77,6 +77,8 @@ pub fn write_motions(
         write(&mut bag, description, START_NANOS, Cdr::new().string(text).done())?;
     }
     let base = robot.base_frame.as_str();
+    // Not the robot's own frame, which its joints move when the recording is played to it.
+    let moving = format!("{}_of_motion", robot.tip_frame);
     let mut start = START_NANOS;
     for motion in motions {
         let at = |secs: f64| start + (secs * 1e9).round() as u64;
@@ -89,7 +91,7 @@ pub fn write_motions(
         for (i, (secs, pose)) in motion.times_secs.iter().zip(&motion.base_from_tip).enumerate() {
             let nanos = at(*secs);
             write(&mut bag, poses, nanos, Cdr::new().header(nanos, base).pose(pose).done())?;
-            let transform = Cdr::new().count(1).header(nanos, base).string(&robot.tip_frame);
+            let transform = Cdr::new().count(1).header(nanos, base).string(&moving);
             write(&mut bag, transforms, nanos, transform.pose(pose).done())?;
             if let (Some(topic), Some(positions)) = (joints, motion.joint_positions.get(i)) {
                 let mut state = Cdr::new().header(nanos, "").count(robot.joint_names.len());

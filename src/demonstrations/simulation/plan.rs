@@ -100,7 +100,7 @@ impl Plan {
             yaws: Vec::new(),
             tilts: Vec::new(),
             tilt_detours: Vec::new(),
-            // About the vertical nothing tilts.
+            // Any that lies flat, for who tilts nothing.
             tilt_axis: Vector3::x_axis(),
             drawn_back: Vector3::zeros(),
             way: way.y.atan2(way.x),
