@@ -155,10 +155,18 @@ fn a_record_that_is_longer_than_its_chunk_ends_it() {
 
 /// A bag with the messages of another, edited: the time of the log and of publishing, and the data.
 fn rewritten(name: &str, edit: impl Fn(u64, &[u8]) -> (u64, u64, Vec<u8>)) -> tempfile::TempDir {
+    written(name, mcap::WriteOptions::new(), edit)
+}
+
+fn written(
+    name: &str,
+    options: mcap::WriteOptions,
+    edit: impl Fn(u64, &[u8]) -> (u64, u64, Vec<u8>),
+) -> tempfile::TempDir {
     let bytes = fs::read(folder().join(name)).unwrap();
     let target = tempfile::tempdir().unwrap();
-    let mut writer =
-        mcap::Writer::new(fs::File::create(target.path().join("edited.mcap")).unwrap()).unwrap();
+    let file = fs::File::create(target.path().join("edited.mcap")).unwrap();
+    let mut writer = options.create(file).unwrap();
     for message in mcap::MessageStream::new(&bytes).unwrap() {
         let message = message.unwrap();
         let (log_time, publish_time, data) = edit(message.log_time, &message.data);
@@ -177,6 +185,37 @@ fn rewritten(name: &str, edit: impl Fn(u64, &[u8]) -> (u64, u64, Vec<u8>)) -> te
         .unwrap();
     writer.finish().unwrap();
     target
+}
+
+#[test]
+fn what_fuzzing_found_is_no_longer_a_panic() {
+    let found = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/regressions/mcap");
+    let target = tempfile::tempdir().unwrap();
+    let path = target.path().join("one.mcap");
+    let mut count = 0;
+    for file in fs::read_dir(found).unwrap() {
+        fs::copy(file.unwrap().path(), &path).unwrap();
+        // Whether something of it can be read is of no matter.
+        let _ = Bag::find(&path).unwrap()[0].read(&channels());
+        count += 1;
+    }
+    assert!(count >= 2);
+}
+
+#[test]
+fn an_index_that_does_not_say_what_the_channels_are_is_done_without() {
+    let whole = read(&folder().join("plain.mcap")).recording;
+    for (schemas, channels) in [(true, true), (false, true), (true, false), (false, false)] {
+        for compression in [None, Some(mcap::Compression::Zstd)] {
+            let options = mcap::WriteOptions::new()
+                .repeat_schemas(schemas)
+                .repeat_channels(channels)
+                .compression(compression);
+            let folder = written("plain.mcap", options, |log, data| (log, log, data.to_vec()));
+            let BagRecording { recording, damage, .. } = read(&folder.path().join("edited.mcap"));
+            assert_eq!((recording.positions, damage), (whole.positions.clone(), Vec::new()));
+        }
+    }
 }
 
 #[test]

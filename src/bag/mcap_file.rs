@@ -1,13 +1,12 @@
 //! MCAP files: by their index where they have one, so that only chunks with what is asked for are read;
 //! else from start to end.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
+use mcap::McapError;
 use mcap::records::{ChunkIndex, Record, op};
-use mcap::sans_io::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
-use mcap::{McapError, Summary};
 
 use super::message::Content;
 use super::{LARGEST_RECORD, Reading, Topic};
@@ -50,11 +49,11 @@ pub(super) enum McapFileError {
 pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(), McapFileError> {
     let size = file.metadata()?.len();
     // Without a summary, or with a damaged one, what comes before it can be whole.
-    if let Ok(Some(summary)) = summary(file, size)
+    if let Ok(Some(summary)) = summary(file, size, reading)
         && has_index(&summary, size)
     {
         let read_before = reading.read;
-        let read = indexed(file, size, &summary, reading);
+        let read = indexed(file, size, summary, reading);
         if read.is_ok() || reading.read > read_before {
             return read;
         }
@@ -62,68 +61,128 @@ pub(super) fn read(file: &mut File, reading: &mut Reading<'_, '_>) -> Result<(),
     linear(file, size, reading)
 }
 
-fn summary(file: &mut File, size: u64) -> Result<Option<Summary>, McapFileError> {
+/// What a file says at its end of what is in it.
+struct Summary {
+    /// Those that are asked for.
+    channels: Channels,
+    /// The numbers of all whose types are known.
+    declared: BTreeSet<u16>,
+    chunks: Vec<ChunkIndex>,
+    messages: u64,
+}
+
+/// The summary; none where there is none, or where it is too large: 100 GB have one of some 20 MB.
+fn summary(
+    file: &mut File,
+    size: u64,
+    reading: &mut Reading<'_, '_>,
+) -> Result<Option<Summary>, McapFileError> {
+    let Some(footer) = size.checked_sub(RECORD_START + FOOTER_END) else { return Ok(None) };
     let mut start = [0; 8];
-    file.seek(SeekFrom::Start(size.saturating_sub(FOOTER_END)))?;
+    file.seek(SeekFrom::Start(footer + RECORD_START))?;
     file.read_exact(&mut start)?;
-    // It is kept as a whole; 100 GB have one of some 20 MB.
-    if size.saturating_sub(u64::from_le_bytes(start)) > LARGEST_RECORD as u64 {
-        return Ok(None);
-    }
-    file.rewind()?;
-    let options = SummaryReaderOptions::default()
-        .with_file_size(size)
-        .with_record_length_limit(LARGEST_RECORD);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event? {
-            SummaryReadEvent::ReadRequest(need) => {
-                // No more than the file has: a damaged length asks for more memory than there is. But
-                // one byte at the end, so that the reader hears that it is there.
-                let left = size.saturating_sub(file.stream_position()?);
-                let need = need.min(usize::try_from(left).unwrap_or(usize::MAX)).max(1);
-                let read = file.read(reader.insert(need))?;
-                reader.notify_read(read);
-            }
-            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+    let start = u64::from_le_bytes(start);
+    let length = match footer.checked_sub(start) {
+        Some(length) if start > 0 && length <= LARGEST_RECORD as u64 => length,
+        _ => return Ok(None),
+    };
+    let mut bytes = Vec::new();
+    file.seek(SeekFrom::Start(start))?;
+    file.by_ref().take(length).read_to_end(&mut bytes)?;
+    let mut schemas = Schemas::new();
+    let mut summary = Summary {
+        channels: Channels::new(),
+        declared: BTreeSet::new(),
+        chunks: Vec::new(),
+        messages: 0,
+    };
+    // Schemas may come after the channels that are of them.
+    walk(&bytes, &mut |opcode, data| {
+        if opcode == op::SCHEMA {
+            declaration(opcode, data, &mut schemas, &mut summary.channels, reading)?;
         }
-    }
-    Ok(reader.finish())
+        Ok(true)
+    })?;
+    walk(&bytes, &mut |opcode, data| {
+        match opcode {
+            op::CHANNEL => {
+                let of = declaration(opcode, data, &mut schemas, &mut summary.channels, reading)?;
+                summary.declared.extend(of);
+            }
+            op::CHUNK_INDEX => {
+                if let Record::ChunkIndex(chunk) = mcap::parse_record(opcode, data)? {
+                    summary.chunks.push(chunk);
+                }
+            }
+            op::STATISTICS => {
+                if let Record::Statistics(statistics) = mcap::parse_record(opcode, data)? {
+                    summary.messages = statistics.message_count;
+                }
+            }
+            _ => {}
+        }
+        Ok(true)
+    })?;
+    Ok(Some(summary))
 }
 
 /// Whether every message is in a chunk that the summary names, with its channels, and each chunk is named
 /// once.
 fn has_index(summary: &Summary, size: u64) -> bool {
-    let messages = summary.stats.as_ref().map_or(0, |stats| stats.message_count);
-    let chunks = &summary.chunk_indexes;
-    let indexed = chunks.iter().all(|chunk| !chunk.message_index_offsets.is_empty());
+    let Summary { channels: _, declared, chunks, messages } = summary;
+    let indexed = chunks.iter().all(|chunk| {
+        let channels = &chunk.message_index_offsets;
+        !channels.is_empty() && channels.keys().all(|id| declared.contains(id))
+    });
     let together = chunks.iter().map(|chunk| u128::from(chunk.compressed_size)).sum::<u128>();
-    messages > 0 && !chunks.is_empty() && indexed && together <= u128::from(size)
+    *messages > 0 && !chunks.is_empty() && indexed && together <= u128::from(size)
 }
 
 /// Topics that are asked for, by the numbers of their channels.
 type Channels = BTreeMap<u16, Topic>;
 
+/// Names of types, by the numbers of their schemas.
+type Schemas = BTreeMap<u16, String>;
+
+/// Takes a schema, or a channel; returns the number of a channel whose type is known.
+fn declaration(
+    opcode: u8,
+    data: &[u8],
+    schemas: &mut Schemas,
+    channels: &mut Channels,
+    reading: &mut Reading<'_, '_>,
+) -> Result<Option<u16>, McapFileError> {
+    match mcap::parse_record(opcode, data)? {
+        Record::Schema { header, .. } => {
+            // Names of types that nobody asks for may be long, and many.
+            let name = Content::of_type(&header.name).map(|_| header.name);
+            schemas.insert(header.id, name.unwrap_or_default());
+        }
+        Record::Channel(channel) => {
+            let type_name = schemas.get(&channel.schema_id);
+            let known = type_name.map_or("", String::as_str);
+            let topic = reading.topic(&channel.topic, known, &channel.message_encoding);
+            channels.extend(topic.map(|topic| (channel.id, topic)));
+            // 0 is that of channels without any.
+            return Ok((type_name.is_some() || channel.schema_id == 0).then_some(channel.id));
+        }
+        _ => {}
+    }
+    Ok(None)
+}
+
 fn indexed(
     file: &mut File,
     size: u64,
-    summary: &Summary,
+    summary: Summary,
     reading: &mut Reading<'_, '_>,
 ) -> Result<(), McapFileError> {
-    let mut channels = Channels::new();
-    for (id, channel) in &summary.channels {
-        let type_name = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
-        let topic = reading.topic(&channel.topic, type_name, &channel.message_encoding);
-        channels.extend(topic.map(|topic| (*id, topic)));
-    }
-    let is_asked_for = |chunk: &&ChunkIndex| {
-        chunk.message_index_offsets.keys().any(|id| channels.contains_key(id))
-    };
-    let mut chunks: Vec<_> = summary.chunk_indexes.iter().filter(is_asked_for).collect();
+    let Summary { channels, declared: _, mut chunks, messages: _ } = summary;
+    chunks.retain(|chunk| chunk.message_index_offsets.keys().any(|id| channels.contains_key(id)));
     chunks.sort_by_key(|chunk| chunk.chunk_start_offset);
     let mut records = Records { file: BufReader::new(file), size, data: Vec::new() };
     let mut plain = Vec::new();
-    for chunk in chunks {
+    for chunk in &chunks {
         if reading.is_full() {
             break;
         }
@@ -148,24 +207,13 @@ fn indexed(
 }
 
 fn linear(file: &mut File, size: u64, reading: &mut Reading<'_, '_>) -> Result<(), McapFileError> {
-    let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
-    let mut channels = Channels::new();
+    let (mut schemas, mut channels) = (Schemas::new(), Channels::new());
     all_records(file, size, &mut |opcode, data| {
         match opcode {
             op::MESSAGE => message(data, &channels, reading)?,
-            op::SCHEMA | op::CHANNEL => match mcap::parse_record(opcode, data)? {
-                Record::Schema { header, .. } => {
-                    // Names of types that nobody asks for may be long, and many.
-                    let name = Content::of_type(&header.name).map(|_| header.name);
-                    schemas.insert(header.id, name.unwrap_or_default());
-                }
-                Record::Channel(channel) => {
-                    let type_name = schemas.get(&channel.schema_id).map_or("", String::as_str);
-                    let topic = reading.topic(&channel.topic, type_name, &channel.message_encoding);
-                    channels.extend(topic.map(|topic| (channel.id, topic)));
-                }
-                _ => {}
-            },
+            op::SCHEMA | op::CHANNEL => {
+                declaration(opcode, data, &mut schemas, &mut channels, reading)?;
+            }
             _ => {}
         }
         Ok(!reading.is_full())
