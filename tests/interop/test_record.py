@@ -7,6 +7,7 @@ import threading
 import time
 
 import pytest
+from conftest import ROOT
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -205,6 +206,33 @@ def some_of_each_type():
         "/text": (String(data="äöü"), lambda m: m.data),
         "/nothing": (Empty(), lambda m: ()),
     }
+
+
+def test_what_a_task_needs_to_hear_of_is_recorded_too(record, client, tmp_path):
+    task = tmp_path / "task.toml"
+    task.write_text(f"""based_on = "{ROOT / 'config/tasks/pour.toml'}"
+[[locations]]
+name = "pour_location"
+at = "action"
+topic = "/bowl"
+[[locations]]
+name = "source_cup"
+at = "start"
+[recording]
+cut_at = {{ marker = "/next" }}
+""")
+    process = record("--task", task)
+    arm = client.node.create_publisher(JointState, "/joint_states", 10)
+    bowl = client.node.create_publisher(PointStamped, "/bowl", 10)
+    mark = client.node.create_publisher(Empty, "/next", 10)
+    for publisher in (arm, bowl, mark):
+        matched(publisher, process)
+    publish(arm, [joint_state(client, n) for n in range(20)])
+    bowl.publish(PointStamped())
+    mark.publish(Empty())
+    end(process)
+    found = {topic: len(of) for topic, of in raw(tmp_path / "one.mcap").items()}
+    assert found == {"/joint_states": 20, "/bowl": 1, "/next": 1}
 
 
 def test_other_tools_decode_every_type_by_the_definition_in_the_file(record, client, tmp_path):

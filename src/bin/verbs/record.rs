@@ -14,13 +14,14 @@ use serde_json::json;
 
 use tcvae::bag::definitions;
 use tcvae::bag::writer::{BagWriter, Compression, OfferedQos, RawMessage, TopicId};
+use tcvae::demonstrations::TaskConfig;
 use tcvae::demonstrations::recording::RobotConfig;
 use tcvae::ros::arguments::{Arguments, Command};
 use tcvae::ros::environment::Environment;
 use tcvae::ros::names::NodeNames;
 use tcvae::ros::recorder::{self, Heard, Offer, Recorder, Topic, Wanted};
 
-use super::sources::load_robot;
+use super::sources::{load_robot, load_task};
 use super::train::stop_on_signal;
 use super::{ExitStatus, UsageError, print_json, print_line};
 
@@ -72,6 +73,17 @@ pub(crate) struct Listening {
     ros_args: Vec<String>,
 }
 
+impl Listening {
+    /// Also to what a task needs to hear of.
+    fn for_task(&self, task: Option<&Path>) -> anyhow::Result<Self> {
+        let mut listening = self.clone();
+        if let TaskConfig::Manipulation(task) = load_task(task)? {
+            listening.topic.extend(task.topics().map(String::from));
+        }
+        Ok(listening)
+    }
+}
+
 /// Recording before training.
 #[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Recording live")]
@@ -92,6 +104,7 @@ impl Live {
         &self,
         model: &Path,
         robot: Option<&Path>,
+        task: Option<&Path>,
     ) -> anyhow::Result<Option<(PathBuf, Arc<AtomicBool>)>> {
         let Self { live, record: file, listening } = self;
         if !live {
@@ -104,8 +117,9 @@ impl Live {
         }
         let file = file.clone().unwrap_or_else(|| model.with_extension("mcap"));
         let robot = load_robot(robot)?;
+        let listening = listening.for_task(task)?;
         let stop = stop_on_signal()?;
-        let recorded = record(&file, listening, Some(&robot.config), &stop)?;
+        let recorded = record(&file, &listening, Some(&robot.config), &stop)?;
         recorded.lines().iter().for_each(|line| eprintln!("{line}"));
         // The next signal is for the training.
         stop.store(false, Ordering::Relaxed);
@@ -122,6 +136,9 @@ pub(crate) struct RecordArgs {
     /// The robot: its grippers' topics are recorded too, and joints that are missing are warned of
     #[arg(long, value_name = "F.toml")]
     robot: Option<PathBuf>,
+    /// The task: the topics that tell its locations, or mark demonstrations, are recorded too
+    #[arg(long, value_name = "F.toml")]
+    task: Option<PathBuf>,
     #[command(flatten)]
     listening: Listening,
     /// Print the answer as JSON
@@ -130,7 +147,8 @@ pub(crate) struct RecordArgs {
 }
 
 pub(crate) fn run(args: RecordArgs) -> anyhow::Result<ExitStatus> {
-    let RecordArgs { output, robot, listening, json } = args;
+    let RecordArgs { output, robot, task, listening, json } = args;
+    let listening = listening.for_task(task.as_deref())?;
     let robot = robot.map(|path| load_robot(Some(&path))).transpose()?;
     let stop = stop_on_signal()?;
     let recorded = record(&output, &listening, robot.map(|robot| robot.config).as_ref(), &stop)?;

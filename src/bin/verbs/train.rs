@@ -101,7 +101,10 @@ pub(crate) fn run(mut args: TrainArgs) -> anyhow::Result<ExitStatus> {
     let _folder = files.claim()?;
     let live: Option<(PathBuf, Arc<AtomicBool>)> = None;
     #[cfg(all(feature = "ros", feature = "bag"))]
-    let live = live.or(args.live.record(&args.output, args.recordings.robot.as_deref())?);
+    let live = {
+        let Recordings { robot, task, .. } = &args.recordings;
+        live.or(args.live.record(&args.output, robot.as_deref(), task.as_deref())?)
+    };
     args.recordings.paths.extend(live.iter().map(|(file, _)| file.clone()));
     let source = Source::load(&args.recordings, copies)?;
     let began = Instant::now();

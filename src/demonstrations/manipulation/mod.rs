@@ -21,7 +21,7 @@ use nalgebra::UnitQuaternion;
 use serde::{Deserialize, Serialize};
 
 use super::augmentation::Augmentation;
-use super::recording::{Reason, RecordingRules};
+use super::recording::{CutAt, Reason, RecordingRules};
 use super::task::{Factor, Task, TaskMeasureError, TaskSettingError, Violation};
 use crate::parameters::{TaskLocation, TaskParameters, TaskSpace};
 use crate::pose::StateFrame;
@@ -306,6 +306,16 @@ impl ManipulationTask {
             Reason::SeveralActions => format!("several_{action}s"),
             other => other.to_string(),
         }
+    }
+
+    /// Topics beside joint states and grippers that recordings of the task need: those that tell locations,
+    /// and that of a marker.
+    pub fn topics(&self) -> impl Iterator<Item = &str> {
+        let marker = match &self.recording.cut_at {
+            CutAt::Marker(topic) => Some(topic.as_str()),
+            CutAt::Grasps | CutAt::Pauses => None,
+        };
+        self.locations.iter().filter_map(|location| location.topic.as_deref()).chain(marker)
     }
 
     /// Tilt beyond which the action happens; none for an action that is no tilt.
