@@ -284,9 +284,16 @@ impl<'a> JointMessages<'a> {
                 most = Some(series);
             }
         }
-        let (all, doubled) = most.as_ref().map_or((0, 0), |m| (m.nanos.len(), m.doubled));
+        let (all, mut doubled) = most.as_ref().map_or((0, 0), |m| (m.nanos.len(), m.doubled));
         let mut frames = most.map_or_else(Vec::new, |most| most.nanos);
         frames.retain(|nanos| (first..=last).contains(nanos));
+        let incomplete = all - frames.len();
+        // Of a span of years seconds can't tell nanoseconds apart.
+        let start = frames.first().copied().unwrap_or(0);
+        let secs = |nanos: i64| nanos_between(start, nanos) * 1e-9;
+        let known = frames.len();
+        frames.dedup_by(|later, earlier| secs(*later) <= secs(*earlier));
+        doubled += known - frames.len();
         let mut positions = vec![Vec::with_capacity(joints.len()); frames.len()];
         // Joint by joint, so that no more than one is there twice.
         for &joint in &joints {
@@ -300,7 +307,7 @@ impl<'a> JointMessages<'a> {
         let recording = JointRecording {
             id: id.into(),
             grippers: grippers.collect(),
-            times_secs: frames.iter().map(|t| nanos_between(frames[0], *t) * 1e-9).collect(),
+            times_secs: frames.iter().map(|nanos| secs(*nanos)).collect(),
             positions,
             joint_names: joints.iter().map(|&joint| self.channels.joints[joint].clone()).collect(),
             points: self
@@ -310,7 +317,6 @@ impl<'a> JointMessages<'a> {
                 .collect(),
             marks_secs: self.marks_secs(&frames),
         };
-        let incomplete = all - frames.len();
         let other_joints = self.other_joints.iter().cloned().collect();
         let not_finite = self.not_finite;
         Assembled { recording, other_joints, not_finite, doubled, incomplete }
@@ -686,5 +692,13 @@ mod tests {
             messages.joint_states("/j", time, angles(&["a"], &[0.0]));
         }
         assert_eq!(messages.assemble("one").recording.positions.len(), 2);
+        // Nanoseconds apart, after 300 years.
+        let mut messages = JointMessages::new(&channels);
+        for log_nanos in [i64::MIN, i64::MAX - 2, i64::MAX - 1, i64::MAX] {
+            let time = MessageTime { log_nanos, stamp_nanos: None };
+            messages.joint_states("/j", time, [("a", 0.0)]);
+        }
+        let Assembled { recording, doubled, .. } = messages.assemble("one");
+        assert_eq!((recording.times_secs.len(), recording.positions.len(), doubled), (2, 2, 2));
     }
 }
