@@ -139,3 +139,31 @@ fn sampled_motions_are_a_recording_with_the_joints_that_were_answered() {
         .collect();
     assert_eq!(read.positions, expected);
 }
+
+#[test]
+fn what_can_not_be_written_or_made_leaves_nothing_behind() {
+    let folder = simulated();
+    let left_out = (1..=12).map(|i: i32| i.to_string()).collect::<Vec<_>>().join(",");
+    let nothing = ["export", "data", "--exclude", &left_out, "-o", "set.csv"];
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let arcs = root.join("models/arcs.safetensors").display().to_string();
+    let panda = fs::read_to_string(root.join("config/robots/panda.toml")).unwrap();
+    let panda =
+        panda.replace("../panda.urdf", &root.join("config/panda.urdf").display().to_string());
+    let (bare, _) = panda.split_once("[workplace]").unwrap();
+    fs::write(folder.path().join("bare.toml"), bare).unwrap();
+    for (args, code, words) in [
+        (&nothing[..], 3, "no demonstration to write"),
+        (&["export", "data", "-o", "no/set.csv"], 2, "there is no folder no; make it"),
+        (&["simulate", "pouring", "--robot", "bare.toml", "-o", "new"], 2, "no [workplace]"),
+        (&["sample", &arcs, "--task", "center=0,0", "--mcap", "new"], 2, "--mcap are for models"),
+    ] {
+        let output = tcvae(args, folder.path());
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {told}");
+        assert!(told.contains(words), "{args:?}: {told}");
+    }
+    let mut left: Vec<_> = fs::read_dir(&folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["bare.toml", "data"]);
+}

@@ -525,20 +525,22 @@ mod tests {
         }
     }
 
-    /// The files of other projects are not ours to ship. Of foxglove/mcap the folder
-    /// `tests/conformance/data` has 416 of them, and of ros2/rosbag2 those named `resources` and `bags`
-    /// have 39; more are in foxglove/mcap's `testdata` (`git lfs pull`). For example:
+    /// Reads all that `tests/golden/bags` has, or the folder that `TCVAE_FOREIGN_BAGS` names, since the files
+    /// of other projects are not ours to ship. Of foxglove/mcap the folder `tests/conformance/data` has 416
+    /// of them (or `tests/golden/conformance.py` makes them), and of ros2/rosbag2 those named `resources`
+    /// and `bags` have 39; more are in foxglove/mcap's `testdata` (`git lfs pull`). For example:
     ///
     /// ```text
-    /// TCVAE_FOREIGN_BAGS=~/mcap/tests/conformance/data cargo test --lib foreign -- --ignored --nocapture
+    /// TCVAE_FOREIGN_BAGS=~/mcap/tests/conformance/data cargo test --lib foreign -- --nocapture
     /// ```
     #[test]
-    #[ignore = "needs bags of others, in the folder that TCVAE_FOREIGN_BAGS names"]
     fn foreign_bags_are_read_to_their_ends() {
-        let folder = std::env::var_os("TCVAE_FOREIGN_BAGS").expect("TCVAE_FOREIGN_BAGS");
+        let foreign = std::env::var_os("TCVAE_FOREIGN_BAGS").map(PathBuf::from);
+        let ours = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/bags");
+        let folder = foreign.clone().unwrap_or(ours);
         let mut files = Vec::new();
-        below(Path::new(&folder), &mut files);
-        assert!(!files.is_empty(), "no bag below {}", Path::new(&folder).display());
+        below(&folder, &mut files);
+        assert!(!files.is_empty(), "no bag below {}", folder.display());
         let channels = Channels { joints: vec!["a".into()], ..Channels::default() };
         let (mut complaints, mut with_joints) = (Vec::new(), 0);
         for path in &files {
@@ -567,6 +569,7 @@ mod tests {
         }
         println!("{} bags, {with_joints} with joint states", files.len());
         assert!(complaints.is_empty(), "{}", complaints.join("\n"));
+        assert!(foreign.is_some() || with_joints == files.len(), "all of ours have joint states");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Pictures as SVG, and pages of tables and pictures as HTML and Markdown.
 
+mod above;
 mod motions;
 mod page;
 mod panels;

@@ -3,7 +3,8 @@
 use nalgebra::Isometry3;
 use plotters::prelude::*;
 
-use super::{PlotError, colour, failed, range};
+use super::above::{chart_from_above, seen};
+use super::{PlotError, colour, failed};
 use crate::pose::{tilt, up_in_tip};
 
 /// One motion of the tip.
@@ -56,38 +57,17 @@ fn draw_path<DB: DrawingBackend>(
     locations: &[PlottedLocation],
     tolerance_m: f64,
 ) -> Result<(), PlotError> {
-    // y grows to the left in the base frame, so that the picture is what one sees from above with
-    // the robot at the bottom: x upwards, y to the left.
-    let xy = |p: &Isometry3<f64>| (-p.translation.y, p.translation.x);
+    let xy = |p: &Isometry3<f64>| [p.translation.x, p.translation.y];
     let points = motions.iter().flat_map(|m| m.base_from_tip.iter().map(xy));
-    let all: Vec<_> = points.chain(locations.iter().map(|l| (-l.xy[1], l.xy[0]))).collect();
-    let (across, along) = (range(all.iter().map(|p| p.0)), range(all.iter().map(|p| p.1)));
-    // One scale for both axes, or circles would be ellipses.
-    let half = 0.5 * (across.1 - across.0).max(along.1 - along.0) + 0.06;
-    let middle = (0.5 * (across.0 + across.1), 0.5 * (along.0 + along.1));
-    let mut chart = ChartBuilder::on(area)
-        .margin(10)
-        .x_label_area_size(36)
-        .y_label_area_size(48)
-        .build_cartesian_2d(middle.0 - half..middle.0 + half, middle.1 - half..middle.1 + half)
-        .map_err(failed)?;
-    chart
-        .configure_mesh()
-        .x_desc("y (m), to the robot's left")
-        .y_desc("x (m), ahead of the robot")
-        .x_label_formatter(&|v| format!("{:.2}", -v))
-        .y_label_formatter(&|v| format!("{v:.2}"))
-        .light_line_style(TRANSPARENT)
-        .x_labels(6)
-        .y_labels(6)
-        .draw()
-        .map_err(failed)?;
+    let all = points.chain(locations.iter().map(|l| l.xy));
+    let mut chart = chart_from_above(area, all, 0.06)?;
     for (i, motion) in motions.iter().enumerate() {
-        let line = LineSeries::new(motion.base_from_tip.iter().map(xy), colour(i).stroke_width(2));
+        let line = motion.base_from_tip.iter().map(|p| seen(xy(p)));
+        let line = LineSeries::new(line, colour(i).stroke_width(2));
         chart.draw_series(line).map_err(failed)?;
     }
     for location in locations {
-        let (x, y) = (-location.xy[1], location.xy[0]);
+        let (x, y) = seen(location.xy);
         let circle = (0..=72).map(|i| {
             let angle = f64::from(i) * std::f64::consts::TAU / 72.0;
             (x + tolerance_m * angle.cos(), y + tolerance_m * angle.sin())

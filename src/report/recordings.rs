@@ -4,6 +4,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use super::above::{chart_from_above, seen};
 use super::{PlotError, colour, failed, range};
 
 /// A recording over time.
@@ -138,40 +139,17 @@ fn draw(
 /// # Errors
 /// What the drawing library reports.
 pub fn tasks_svg(names: &[String], tasks: &[PlottedTask]) -> Result<String, PlotError> {
-    // y grows to the left in the base frame: what one sees from above with the robot at the bottom.
-    let seen = |[x, y]: &[f64; 2]| (-y, *x);
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, (620, 560)).into_drawing_area();
         root.fill(&WHITE).map_err(failed)?;
-        let points = || tasks.iter().flatten().map(seen);
-        let (across, along) = (range(points().map(|p| p.0)), range(points().map(|p| p.1)));
-        let half = (0.5 * (across.1 - across.0).max(along.1 - along.0) + 0.05).max(0.05);
-        let middle = |(low, high): (f64, f64)| if low <= high { 0.5 * (low + high) } else { 0.0 };
-        let (x, y) = (middle(across), middle(along));
-        let mut chart = ChartBuilder::on(&root)
-            .margin(10)
-            .x_label_area_size(36)
-            .y_label_area_size(48)
-            .build_cartesian_2d(x - half..x + half, y - half..y + half)
-            .map_err(failed)?;
-        chart
-            .configure_mesh()
-            .x_desc("y (m), to the robot's left")
-            .y_desc("x (m), ahead of the robot")
-            .x_label_formatter(&|v| format!("{:.2}", -v))
-            .y_label_formatter(&|v| format!("{v:.2}"))
-            .light_line_style(TRANSPARENT)
-            .x_labels(6)
-            .y_labels(6)
-            .draw()
-            .map_err(failed)?;
+        let mut chart = chart_from_above(&root, tasks.iter().flatten().copied(), 0.05)?;
         for task in tasks {
-            let way = task.iter().map(seen).collect::<Vec<_>>();
+            let way = task.iter().copied().map(seen).collect::<Vec<_>>();
             chart.draw_series(LineSeries::new(way, BLACK.mix(0.15))).map_err(failed)?;
         }
         for (i, name) in names.iter().enumerate() {
-            let at = tasks.iter().filter_map(|task| task.get(i)).map(seen);
+            let at = tasks.iter().filter_map(|task| task.get(i)).copied().map(seen);
             let dots = at.map(|p| Circle::new(p, 3, colour(i).mix(0.8).filled()));
             chart
                 .draw_series(dots)

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::ensure;
 use clap::Args;
 use serde_json::json;
 
@@ -43,6 +44,11 @@ pub(crate) fn run(args: ExportArgs) -> anyhow::Result<ExitStatus> {
     };
     let copies = if copies { Copies::Made } else { Copies::LeftOut };
     let data = recordings.data(None, copies)?;
+    ensure!(
+        episodes(&data).next().is_some(),
+        "no demonstration to write: {}. `tcvae inspect` says why",
+        data.summary.lines().take(2).collect::<Vec<_>>().join(", ")
+    );
     write(&output, &data)?;
     let parts = data.splits.parts().map(|(name, part)| (name.to_owned(), json!(part.len())));
     let parts: serde_json::Map<_, _> = parts.into_iter().collect();
@@ -52,11 +58,7 @@ pub(crate) fn run(args: ExportArgs) -> anyhow::Result<ExitStatus> {
         eprintln!("{}", data.summary);
         print_line(&output.display().to_string());
     }
-    Ok(if data.splits.parts().iter().all(|(_, part)| part.is_empty()) {
-        ExitStatus::BadData
-    } else {
-        ExitStatus::Done
-    })
+    Ok(ExitStatus::Done)
 }
 
 /// The demonstrations with their part and number, in their order.

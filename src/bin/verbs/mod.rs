@@ -23,7 +23,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use tcvae::artifact::Artifact;
-use tcvae::serving::{self, PrimitiveServer, Robot};
+use tcvae::serving::{self, PrimitiveServer};
 use tcvae::{config, urdf};
 
 /// How a verb ended.

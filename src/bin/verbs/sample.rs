@@ -331,8 +331,13 @@ fn plot(
 
 /// A model without a robot: its states, as the decoder has them.
 fn states(args: &SampleArgs, artifact: &Artifact) -> anyhow::Result<ExitStatus> {
-    if args.robot.is_some() || args.plot.is_some() {
-        let refused = "--robot and --plot are for models of a robot's tip; this one's states are";
+    #[cfg(feature = "bag")]
+    let with_mcap = args.mcap.is_some();
+    #[cfg(not(feature = "bag"))]
+    let with_mcap = false;
+    if args.robot.is_some() || args.plot.is_some() || with_mcap {
+        let refused =
+            "--robot, --plot and --mcap are for models of a robot's tip; this one's states are";
         let states = artifact.document.state_names.join(", ");
         return Err(UsageError(format!("{refused} {states}")).into());
     }

@@ -148,6 +148,10 @@ fn simulate_people(args: &SimulateArgs, activity: Activity) -> anyhow::Result<Ex
         return Err(UsageError(reason).into());
     }
     let simulation = Simulation { activity, count, seed: *seed, correlation, both_sides };
+    let robot = load_robot(robot.as_deref())?;
+    let assignments =
+        simulation.assignments(&robot.config).map_err(|e| UsageError(e.to_string()))?;
+    // From here on there is a folder.
     let refused = |what: &dyn std::fmt::Display| {
         UsageError(format!("{}: {what}; choose a new folder", output.display()))
     };
@@ -155,7 +159,6 @@ fn simulate_people(args: &SimulateArgs, activity: Activity) -> anyhow::Result<Ex
     if fs::read_dir(output).map_err(|e| refused(&e))?.next().is_some() {
         return Err(refused(&"not empty").into());
     }
-    let robot = load_robot(robot.as_deref())?;
     let write = |assignment| -> anyhow::Result<(Truth, usize)> {
         let simulated = simulation
             .simulate(assignment, &robot.config, &robot.chain)
@@ -163,7 +166,6 @@ fn simulate_people(args: &SimulateArgs, activity: Activity) -> anyhow::Result<Ex
         mime::write(output, &simulated.raw).map_err(|e| UsageError(e.to_string()))?;
         Ok((simulated.truth, simulated.redrawn))
     };
-    let assignments = simulation.assignments(&robot.config)?;
     let written: Vec<_> = assignments.par_iter().map(write).collect::<Result<_, _>>()?;
     let redrawn: usize = written.iter().map(|(_, redrawn)| redrawn).sum();
     let accepted = assignments.iter().filter(|a| a.trap.is_none()).count();

@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use self::pouring::Pour;
 use self::stacking::Stack;
 use super::manipulation::ManipulationTask;
-use super::recording::{Reason, RobotConfig};
+use super::recording::{Reason, RobotConfig, Workplace};
 use crate::kinematics::Chain;
 
 /// Frames per second, as MIME's.
@@ -108,7 +108,7 @@ pub enum SimulationError {
     },
     /// Nobody says where people work with the robot.
     #[error(
-        "the robot {robot} has no [workplace] in its TOML, which says where people work with it"
+        "the robot {robot} has no [workplace] in its TOML, which says where people work with it; config/robots/baxter.toml has one"
     )]
     NoWorkplace {
         /// Name of the robot.
@@ -202,11 +202,12 @@ impl Simulation {
     /// arm where there is one.
     ///
     /// # Errors
-    /// The correlation is not in `[0, 1)`.
+    /// The correlation is not in `[0, 1)`; a robot without a workplace.
     pub fn assignments(&self, robot: &RobotConfig) -> Result<Vec<Assignment>, SimulationError> {
         if !(0.0..1.0).contains(&self.correlation) {
             return Err(SimulationError::Correlation { value: self.correlation });
         }
+        workplace(robot)?;
         let mut rng = self.rng(u64::MAX);
         let share = |share: f64| (share * self.count as f64).round() as usize;
         let mut traps: Vec<Option<Reason>> = Vec::with_capacity(self.count);
@@ -251,10 +252,7 @@ impl Simulation {
         chain: &Chain,
     ) -> Result<Simulated, SimulationError> {
         const MAX_TRIES: usize = 200;
-        let workplace = robot
-            .workplace
-            .as_ref()
-            .ok_or_else(|| SimulationError::NoWorkplace { robot: robot.name.clone() })?;
+        let workplace = workplace(robot)?;
         let mut rng = self.rng(assignment.index);
         let loose = loosened(chain);
         let Assignment { id, trap, .. } = assignment;
@@ -304,6 +302,11 @@ impl Simulation {
         rng.set_stream(stream);
         rng
     }
+}
+
+fn workplace(robot: &RobotConfig) -> Result<&Workplace, SimulationError> {
+    let missing = || SimulationError::NoWorkplace { robot: robot.name.clone() };
+    robot.workplace.as_ref().ok_or_else(missing)
 }
 
 /// The chain with limits that are 0.18 rad wider, which is how far MIME's angles leave them.
