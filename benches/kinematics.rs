@@ -10,7 +10,7 @@ use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use tcvae::kinematics::following::{FollowOptions, follow};
 use tcvae::kinematics::inverse::{InverseOptions, solve};
-use tcvae::kinematics::timing::time;
+use tcvae::kinematics::timing::{Scales, time};
 use tcvae::kinematics::{Chain, Joint};
 
 #[path = "../tests/support/pours.rs"]
@@ -92,7 +92,7 @@ fn report(_: &mut Criterion) {
                 complete += 1;
                 without_slowing += usize::from(followed.speed <= 1.0);
                 margins.push(followed.joint_margin_rad);
-                let timed = time(&chain, &followed.positions, STEP_SECS, 1.0, 1.0);
+                let timed = time(&chain, &followed.positions, STEP_SECS, Scales::default());
                 timed_as_learned += usize::from(timed.slowdown <= 1.0);
             }
         });

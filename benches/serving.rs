@@ -10,17 +10,17 @@ use std::time::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use tcvae::artifact::Artifact;
-use tcvae::serving::{GivenLocation, PrimitiveServer, Robot, SampleRequest, Settings};
+use tcvae::serving::{GivenLocation, PrimitiveServer, SampleRequest, Settings};
 
 const MODEL: &[u8] = include_bytes!("../models/pouring.safetensors");
 const REQUESTS: usize = 2000;
 
 fn server() -> PrimitiveServer {
-    let robot = tcvae::config::robot(None, tcvae::urdf::chain).expect("the built-in robot");
+    let robot = tcvae::config::robot(None, tcvae::urdf::arm).expect("the built-in robot");
     let model = Artifact::from_bytes(MODEL).expect("the built-in model");
     let model = model.served_model().expect("a model of a robot");
-    let robot = Robot { name: robot.config.name, chain: robot.chain };
-    PrimitiveServer::new(Arc::new(model), Arc::new(robot), Settings::default()).expect("a server")
+    PrimitiveServer::new(Arc::new(model), Arc::new(robot.served()), Settings::default())
+        .expect("a server")
 }
 
 /// Requests amid the trained region, each with a manner from the prior.

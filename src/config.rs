@@ -1,17 +1,20 @@
 //! Configuration files: TOML that people write, read into the structs of the core, and what is built
 //! in for those who write none.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use saphyr::{LoadableYamlNode, Yaml};
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
 use crate::demonstrations::TaskConfig;
 use crate::demonstrations::recording::RobotConfig;
-use crate::kinematics::Chain;
+use crate::kinematics::{ArmDescription, Chain, Hull, JointLimits};
+use crate::serving::Robot;
 
 /// The Baxter description that is built in.
 pub const BAXTER_URDF: &str = include_str!("../config/baxter.urdf");
@@ -99,49 +102,105 @@ fn merged(mut base: toml::Table, own: toml::Table) -> toml::Table {
 pub struct LoadedRobot {
     /// The configuration.
     pub config: RobotConfig,
-    /// From the base frame to the tip link.
+    /// From the base frame to the tip link, under all limits.
     pub chain: Chain,
+    /// What must stay apart.
+    pub hull: Hull,
     /// Its description, as it was read.
     pub urdf: String,
     /// SHA-256 over the URDF.
     pub urdf_sha256: String,
 }
 
+impl LoadedRobot {
+    /// The robot as it is served.
+    pub fn served(&self) -> Robot {
+        Robot {
+            name: self.config.name.clone(),
+            chain: self.chain.clone(),
+            hull: self.hull.clone(),
+            clearance_m: self.config.collision.clearance_m,
+        }
+    }
+}
+
 /// The robot of a TOML file such as `config/robots/baxter.toml`; without a file, Baxter's left arm.
-/// `parse` makes a chain of a description, a base and a tip (the `urdf` module has one).
+/// `parse` makes an arm of a description, a base and a tip (the `urdf` module has one).
 ///
 /// # Errors
 /// A file that can't be read or understood; a description without the base, the tip, or the arm's
-/// joints between them.
+/// joints between them; limits or rules that do not fit it.
 pub fn robot<E: Display>(
     path: Option<&Path>,
-    parse: impl Fn(&str, &str, &str) -> Result<Chain, E>,
+    parse: impl Fn(&str, &str, &str) -> Result<ArmDescription, E>,
 ) -> Result<LoadedRobot, ConfigError> {
     let config = match path {
         Some(path) => read(path)?,
         None => RobotConfig::default(),
     };
     let here = path.unwrap_or(Path::new("the built-in robot"));
+    let beside = |file: &str| here.parent().unwrap_or(Path::new("")).join(file);
     let (urdf, from) = match &config.urdf {
         None => (BAXTER_URDF.to_string(), here.to_path_buf()),
-        Some(urdf) => {
-            let urdf = here.parent().unwrap_or(Path::new("")).join(urdf);
-            (read_text(&urdf)?, urdf)
-        }
+        Some(urdf) => (read_text(&beside(urdf))?, beside(urdf)),
     };
-    let chain = parse(&urdf, &config.base_frame, &config.tip_link)
+    let mut arm = parse(&urdf, &config.base_frame, &config.tip_link)
         .map_err(|e| content(&from, &e.to_string()))?;
-    if chain.joint_names() != config.arm.joints {
+    if arm.chain.joint_names() != config.arm.joints {
         let detail = format!(
             "between {} and {} the description moves {}; the robot's arm is configured as {}",
             config.base_frame,
             config.tip_link,
-            chain.joint_names().join(", "),
+            arm.chain.joint_names().join(", "),
             config.arm.joints.join(", ")
         );
         return Err(content(&from, &detail));
     }
-    Ok(LoadedRobot { urdf_sha256: hex(&Sha256::digest(urdf.as_bytes())), config, chain, urdf })
+    if let Some(file) = &config.joint_limits {
+        let file = beside(file);
+        let limits = moveit_limits(&read_text(&file)?).map_err(|e| content(&file, &e))?;
+        arm = arm.with_limits(&limits).map_err(|e| content(&file, &e.to_string()))?;
+    }
+    if let Some(unknown) =
+        config.limits.keys().find(|name| config.arms().all(|arm| !arm.joints.contains(name)))
+    {
+        let known = config.arm.joints.join(", ");
+        let detail = format!("[limits.{unknown}]: the arm has no such joint; it has {known}");
+        return Err(content(here, &detail));
+    }
+    arm = arm.with_limits(&config.limits).map_err(|e| content(here, &e.to_string()))?;
+    let hull = arm.hull(&config.collision).map_err(|e| content(here, &e.to_string()))?;
+    let urdf_sha256 = hex(&Sha256::digest(urdf.as_bytes()));
+    Ok(LoadedRobot { config, chain: arm.chain, hull, urdf, urdf_sha256 })
+}
+
+/// Limits by joint out of MoveIt's `joint_limits.yaml`: a limit counts where its `has_…_limits` is true.
+fn moveit_limits(yaml: &str) -> Result<BTreeMap<String, JointLimits>, String> {
+    let documents = Yaml::load_from_str(yaml).map_err(|e| e.to_string())?;
+    let joints = documents.first().and_then(|document| document.as_mapping_get("joint_limits"));
+    let Some(joints) = joints.and_then(Yaml::as_mapping) else {
+        return Err("there is no mapping joint_limits, which MoveIt's file has".into());
+    };
+    let mut limits = BTreeMap::new();
+    for (name, joint) in joints {
+        let Some(name) = name.as_str() else {
+            return Err(format!("joint_limits has a joint whose name is no text: {name:?}"));
+        };
+        let limit = |what: &str| match joint.as_mapping_get(&format!("has_{what}_limits")) {
+            Some(has) if has.as_bool() == Some(true) => {
+                let key = format!("max_{what}");
+                let value = joint.as_mapping_get(&key);
+                let value =
+                    value.and_then(|v| v.as_floating_point().or(v.as_integer().map(|i| i as f64)));
+                value.map(Some).ok_or_else(|| format!("{name} has no number {key}"))
+            }
+            _ => Ok(None),
+        };
+        let [velocity, acceleration, jerk] =
+            [limit("velocity")?, limit("acceleration")?, limit("jerk")?];
+        limits.insert(name.to_owned(), JointLimits { velocity, acceleration, jerk });
+    }
+    Ok(limits)
 }
 
 fn read_text(path: &Path) -> Result<String, ConfigError> {
@@ -159,12 +218,12 @@ fn hex(bytes: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::urdf::chain;
+    use crate::urdf::arm;
 
     #[test]
     fn the_shipped_robot_file_is_the_built_in_robot() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots/baxter.toml");
-        let (file, built_in) = (robot(Some(&path), chain).unwrap(), robot(None, chain).unwrap());
+        let (file, built_in) = (robot(Some(&path), arm).unwrap(), robot(None, arm).unwrap());
         assert_eq!(file.config, built_in.config);
         assert_eq!(file.chain, built_in.chain);
     }
@@ -173,7 +232,7 @@ mod tests {
     fn an_unknown_key_is_refused_with_its_line() {
         let file = tempfile::NamedTempFile::new().unwrap();
         fs::write(file.path(), "name = \"arm\"\ntip = \"hand\"\n").unwrap();
-        let error = robot(Some(file.path()), chain).unwrap_err().to_string();
+        let error = robot(Some(file.path()), arm).unwrap_err().to_string();
         assert!(error.contains("line 2") && error.contains("unknown field `tip`"), "{error}");
     }
 
@@ -183,14 +242,14 @@ mod tests {
         let text = include_str!("../config/robots/baxter.toml")
             .replace("tip_link = \"left_gripper\"", "tip_link = \"right_gripper\"");
         fs::write(file.path(), text).unwrap();
-        let error = robot(Some(file.path()), chain).unwrap_err().to_string();
+        let error = robot(Some(file.path()), arm).unwrap_err().to_string();
         assert!(error.contains("moves right_s0") && error.contains("as left_s0"), "{error}");
     }
 
     #[test]
     fn a_robot_with_one_arm_has_no_other() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots/panda.toml");
-        let panda = robot(Some(&path), chain).unwrap();
+        let panda = robot(Some(&path), arm).unwrap();
         assert_eq!((panda.config.arms().count(), panda.chain.dof()), (1, 7));
     }
 

@@ -188,6 +188,43 @@ pub struct JointTrajectory {
     pub positions: Vec<Vec<f64>>,
     /// One vector per point: rad/s, or m/s for prismatic joints.
     pub velocities: Vec<Vec<f64>>,
+    /// One vector per point: rad/s², or m/s² for prismatic joints.
+    pub accelerations: Vec<Vec<f64>>,
+}
+
+impl JointTrajectory {
+    /// The configuration at a share of the way in time from point `k` to the next, on the cubic between them.
+    ///
+    /// # Panics
+    /// When there is no point after `k`.
+    pub fn between(&self, k: usize, share: f64) -> Vec<f64> {
+        let h = self.times_secs[k + 1] - self.times_secs[k];
+        let joint = |j: usize| {
+            let (from, to) = (self.positions[k][j], self.positions[k + 1][j]);
+            let (a, b) = (h * self.velocities[k][j], h * self.velocities[k + 1][j]);
+            let (rise, u) = (to - from, share);
+            from + u * (a + u * (3.0 * rise - 2.0 * a - b + u * (a + b - 2.0 * rise)))
+        };
+        (0..self.joint_names.len()).map(joint).collect()
+    }
+
+    /// This trajectory, and then another that begins where and when this one ends: its first point takes the
+    /// place of this one's last.
+    #[must_use]
+    pub fn followed_by(mut self, other: Self) -> Self {
+        let (Some(end), Some(start)) = (self.times_secs.pop(), other.times_secs.first().copied())
+        else {
+            return other;
+        };
+        self.positions.pop();
+        self.velocities.pop();
+        self.accelerations.pop();
+        self.times_secs.extend(other.times_secs.iter().map(|time| end + (time - start)));
+        self.positions.extend(other.positions);
+        self.velocities.extend(other.velocities);
+        self.accelerations.extend(other.accelerations);
+        self
+    }
 }
 
 #[cfg(test)]

@@ -4,11 +4,10 @@
 //! there, transmissions, simulator tags, other limbs, a joint with a link's name) is not a reason
 //! to refuse it.
 
-use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
-use urdf_rs::JointType;
+use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use urdf_rs::{Geometry, JointType};
 
-use crate::kinematics::{Chain, ChainError, Joint, JointKind};
-use crate::serving::Robot;
+use crate::kinematics::{ArmDescription, Capsule, Chain, ChainError, Joint, JointKind, LinkPlace};
 
 /// Why a robot description has no chain between the two frames.
 #[derive(Debug, thiserror::Error)]
@@ -83,14 +82,16 @@ pub enum UrdfError {
 /// Text that is not URDF, frames that are not in it, a tip that does not hang on the base, a joint
 /// on the way that floats, mimics, or has no usable limits.
 pub fn chain(urdf_xml: &str, base: &str, tip: &str) -> Result<Chain, UrdfError> {
-    Ok(robot(urdf_xml, base, tip)?.chain)
+    Ok(arm(urdf_xml, base, tip)?.chain)
 }
 
-/// The arm from the link `base` to the link `tip`, under the name that the description gives.
+/// The arm from the link `base` to the link `tip`, with the shape that the description's `<collision>`
+/// elements give it: spheres and capsules as they are, a cylinder and a box as the capsule around it (along
+/// the cylinder's axis, or the box's longest edge, over its whole length). Meshes are not read.
 ///
 /// # Errors
 /// As [`chain`].
-pub fn robot(urdf_xml: &str, base: &str, tip: &str) -> Result<Robot, UrdfError> {
+pub fn arm(urdf_xml: &str, base: &str, tip: &str) -> Result<ArmDescription, UrdfError> {
     let robot = urdf_rs::read_from_string(urdf_xml).map_err(UrdfError::Parse)?;
     for (frame, role) in [(base, "base frame"), (tip, "tip link")] {
         if !robot.links.iter().any(|l| l.name == frame) {
@@ -105,13 +106,16 @@ pub fn robot(urdf_xml: &str, base: &str, tip: &str) -> Result<Robot, UrdfError> 
     }
 
     let mut joints = Vec::new();
+    let mut links = vec![LinkPlace::new(base, 0, Isometry3::identity())];
     // Fixed joints met since the last moving one are folded into the next.
     let mut parent_from_here = Isometry3::identity();
     for joint in path(&robot, base, tip)? {
         parent_from_here *= isometry(&joint.origin);
         if joint.joint_type == JointType::Fixed {
+            links.push(LinkPlace::new(&joint.child.link, joints.len(), parent_from_here));
             continue;
         }
+        links.push(LinkPlace::new(&joint.child.link, joints.len() + 1, Isometry3::identity()));
         let kind = kind(joint, tip)?;
         let [x, y, z] = joint.axis.xyz.0;
         let axis = Unit::try_new(Vector3::new(x, y, z), 1e-9)
@@ -130,10 +134,81 @@ pub fn robot(urdf_xml: &str, base: &str, tip: &str) -> Result<Robot, UrdfError> 
             upper,
             velocity: joint.limit.velocity,
             acceleration: acceleration.is_finite().then_some(acceleration),
+            jerk: joint.limit.jerk.is_finite().then_some(joint.limit.jerk),
         });
     }
     let chain = Chain::new(base, tip, joints, parent_from_here)?;
-    Ok(Robot { name: robot.name, chain })
+    place_neighbours(&robot, &mut links);
+    let (parts, unmodelled) = shape(&robot, &links);
+    Ok(ArmDescription { name: robot.name, chain, links, parts, unmodelled })
+}
+
+/// Adds the links that fixed joints hold on those that are placed, and on what they hold.
+fn place_neighbours(robot: &urdf_rs::Robot, links: &mut Vec<LinkPlace>) {
+    let mut next = 0;
+    while next < links.len() {
+        let here = links[next].clone();
+        next += 1;
+        for joint in robot.joints.iter().filter(|j| j.joint_type == JointType::Fixed) {
+            let origin = isometry(&joint.origin);
+            let beside = match (&joint.parent.link, &joint.child.link) {
+                (parent, child) if *parent == here.name => (child, here.body_from_link * origin),
+                // Upwards from the base, which need not be the description's root.
+                (parent, child) if *child == here.name => {
+                    (parent, here.body_from_link * origin.inverse())
+                }
+                _ => continue,
+            };
+            if links.iter().all(|l| l.name != *beside.0) {
+                links.push(LinkPlace::new(beside.0, here.body, beside.1));
+            }
+        }
+    }
+}
+
+/// The capsules of the links that are placed, and the links whose shape is not modelled.
+fn shape(robot: &urdf_rs::Robot, links: &[LinkPlace]) -> (Vec<Capsule>, Vec<String>) {
+    let (mut parts, mut unmodelled) = (Vec::new(), Vec::new());
+    for link in robot.links.iter().filter(|link| !link.collision.is_empty()) {
+        let mut modelled = true;
+        for collision in &link.collision {
+            let place = links.iter().find(|place| place.name == link.name);
+            let Some((place, (half, radius))) = place.zip(capsule(&collision.geometry)) else {
+                modelled = false;
+                continue;
+            };
+            let body_from_shape = place.body_from_link * isometry(&collision.origin);
+            let [from, to] = [-half, half].map(|end| body_from_shape * Point3::from(end));
+            let finite = |p: &Point3<f64>| p.coords.iter().all(|v| v.is_finite());
+            if finite(&from) && finite(&to) && radius.is_finite() && radius > 0.0 {
+                parts.push(Capsule { link: link.name.clone(), body: place.body, from, to, radius });
+            } else {
+                modelled = false;
+            }
+        }
+        if !modelled {
+            unmodelled.push(link.name.clone());
+        }
+    }
+    (parts, unmodelled)
+}
+
+/// Half the segment of the capsule around a shape, and the capsule's radius.
+fn capsule(geometry: &Geometry) -> Option<(Vector3<f64>, f64)> {
+    match *geometry {
+        Geometry::Sphere { radius } => Some((Vector3::zeros(), radius)),
+        Geometry::Cylinder { radius, length } | Geometry::Capsule { radius, length } => {
+            Some((Vector3::new(0.0, 0.0, 0.5 * length), radius))
+        }
+        Geometry::Box { size } => {
+            let half = 0.5 * Vector3::from(size.0);
+            let longest = half.imax();
+            let mut segment = Vector3::zeros();
+            segment[longest] = half[longest];
+            Some((segment, (half - segment).norm()))
+        }
+        Geometry::Mesh { .. } => None,
+    }
 }
 
 /// The joints from `base` to `tip`, in that order.
@@ -142,12 +217,12 @@ fn path<'a>(
     base: &str,
     tip: &str,
 ) -> Result<Vec<&'a urdf_rs::Joint>, UrdfError> {
-    let mut joints = Vec::new();
+    let mut joints: Vec<&urdf_rs::Joint> = Vec::new();
     let mut link = tip;
     while link != base {
         let mut parents = robot.joints.iter().filter(|j| j.child.link == link);
         let Some(joint) = parents.next() else {
-            let above: Vec<_> = joints.iter().map(|j: &&urdf_rs::Joint| &*j.parent.link).collect();
+            let above: Vec<_> = joints.iter().map(|j| &*j.parent.link).collect();
             return Err(UrdfError::NotConnected {
                 base: base.into(),
                 tip: tip.into(),

@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use ros2_client::ParameterValue;
 use tcvae::artifact::Artifact;
 use tcvae::config::BAXTER_URDF;
+use tcvae::demonstrations::recording::RobotConfig;
 use tcvae::ros::arguments::{Arguments, Command};
 use tcvae::ros::names::NodeNames;
 use tcvae::ros::parameters::{Parameter, find};
-use tcvae::ros::state::{Loaded, Loader, NodeState};
+use tcvae::ros::state::{Loaded, Loader, NodeState, RobotFiles};
 use tcvae::serving::{ErrorCode, Refusal, Robot, ServedModel};
 
 struct Files;
@@ -20,16 +21,21 @@ fn root(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
+fn robot(urdf: &str, files: &RobotFiles) -> Result<Robot, Refusal> {
+    let arm = tcvae::urdf::arm(urdf, &files.base_frame, &files.tip_link)
+        .map_err(|e| Refusal::new(ErrorCode::RobotMismatch, e.to_string()))?;
+    Ok(Robot::new(arm, &RobotConfig::default().collision).unwrap())
+}
+
 impl Loader for Files {
     fn model(&self, path: &str) -> Result<ServedModel, Refusal> {
         assert_eq!(path, "");
         Ok(Artifact::load(&root("models/pouring.safetensors")).unwrap().served_model().unwrap())
     }
 
-    fn robot(&self, path: &str, base_frame: &str, tip_link: &str) -> Result<Robot, Refusal> {
-        assert_eq!(path, "");
-        tcvae::urdf::robot(BAXTER_URDF, base_frame, tip_link)
-            .map_err(|e| Refusal::new(ErrorCode::RobotMismatch, e.to_string()))
+    fn robot(&self, files: &RobotFiles) -> Result<Robot, Refusal> {
+        assert_eq!(files.path(), "");
+        robot(BAXTER_URDF, files)
     }
 }
 
@@ -92,11 +98,38 @@ fn a_start_refuses_values_that_are_none() {
         ("--ros-args -p sample.max_tries:=0", "[1, 1000]"),
         ("--ros-args -p model_path:=5", "model_path is not a string"),
         ("--ros-args -p tip_link:=no_such_link", "no_such_link"),
+        ("--robot a.toml --ros-args -p tip_link:=left_hand", "leave them empty"),
         ("--ros-args -p task.source_cup.default:=[1,2,3]", "3 values"),
     ] {
         let refusal = start(line).unwrap_err();
         assert!(refusal.message.contains(words), "{refusal}");
     }
+}
+
+/// A robot that calls its frames otherwise than the built-in one.
+struct Renamed;
+
+impl Loader for Renamed {
+    fn model(&self, path: &str) -> Result<ServedModel, Refusal> {
+        let mut model = Files.model(path)?;
+        model.robot.base_frame = "world".into();
+        model.robot.tip_frame = "cup".into();
+        Ok(model)
+    }
+
+    fn robot(&self, files: &RobotFiles) -> Result<Robot, Refusal> {
+        let urdf = BAXTER_URDF.replace("\"base\"", "\"world\"");
+        robot(&urdf.replace("\"left_gripper\"", "\"cup\""), files)
+    }
+}
+
+#[test]
+fn frames_that_are_not_set_are_the_models() {
+    let (state, _) = NodeState::new(BTreeMap::new(), &Renamed).unwrap();
+    let files = state.robot_files();
+    assert_eq!((files.base_frame.as_str(), files.tip_link.as_str()), ("world", "cup"));
+    let set = BTreeMap::from([("base_frame".into(), ParameterValue::String("base".into()))]);
+    assert!(NodeState::new(set, &Renamed).unwrap_err().message.contains("no link \"base\""));
 }
 
 #[test]

@@ -17,7 +17,7 @@ use tcvae::primitive::{Generated, MannerConditioned, MovementPrimitive};
 use tcvae::primitives::{Classical, ClassicalConfig, DmpConfig, ProMpConfig, TpGmmConfig};
 use tcvae::serving::{
     ErrorCode, Familiarity, GivenLocation, MannerMode, OutOfDistribution, PrimitiveServer, RankBy,
-    Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings,
+    Sample, SampleReply, SampleRequest, ServedModel, Settings, StartPolicy,
 };
 use tcvae::trajectory::{JointTrajectory, Trajectory};
 
@@ -124,7 +124,7 @@ fn model(offset_m: f64) -> ServedModel {
 }
 
 fn serving(model: ServedModel) -> PrimitiveServer {
-    let robot = Robot { name: "baxter".into(), chain: baxter() };
+    let robot = tcvae::config::robot(None, tcvae::urdf::arm).unwrap().served();
     PrimitiveServer::new(Arc::new(model), Arc::new(robot), Settings::default()).unwrap()
 }
 
@@ -326,17 +326,110 @@ fn requests_that_make_no_sense_are_refused_by_name_and_number() {
     }
 }
 
+/// A request that says where the arm is.
+fn starting_at(server: &PrimitiveServer, q: &[f64]) -> SampleRequest {
+    let names = server.robot().chain.joint_names();
+    SampleRequest { start: names.into_iter().zip(q.iter().copied()).collect(), ..request() }
+}
+
 #[test]
-fn a_start_elsewhere_is_refused_and_the_first_point_itself_is_served() {
-    let server = server();
-    let from = |q: &[f64]| SampleRequest {
-        start: server.robot().chain.joint_names().into_iter().zip(q.iter().copied()).collect(),
-        ..request()
-    };
-    let (code, message) = refusal(&server, &from(&server.robot().chain.middle()));
+fn by_the_policy_refuse_the_arm_has_to_be_at_the_first_point() {
+    let mut server = server();
+    let start_policy = StartPolicy::Refuse;
+    server.set_settings(Settings { start_policy, ..Settings::default() }).unwrap();
+    let (code, message) = refusal(&server, &request());
+    assert_eq!(code, ErrorCode::StaleJointState, "{message}");
+    let middle = server.robot().chain.middle();
+    let (code, message) = refusal(&server, &starting_at(&server, &middle));
     assert_eq!(code, ErrorCode::StartTooFar, "{message}");
+    server.set_settings(Settings::default()).unwrap();
     let first = one(&server, &request()).joint_trajectory.positions[0].clone();
-    one(&server, &from(&first));
+    server.set_settings(Settings { start_policy, ..Settings::default() }).unwrap();
+    assert_eq!(one(&server, &starting_at(&server, &first)).primitive_start_index, 0);
+}
+
+#[test]
+fn an_arm_elsewhere_is_brought_to_the_first_point() {
+    let mut server = server();
+    let chain = server.robot().chain.clone();
+    let there = one(&server, &request());
+    assert!(there.warnings.iter().any(|w| w.contains("no joint states")), "{:?}", there.warnings);
+    // Near to where the motion begins, so that it goes on in the same posture.
+    let mut q = there.joint_trajectory.positions[0].clone();
+    q.iter_mut().zip(chain.middle()).for_each(|(q, middle)| *q += 0.2 * (middle - *q));
+    let sample = one(&server, &starting_at(&server, &q));
+    let begin = sample.primitive_start_index as usize;
+    assert!(begin >= 7, "{begin}");
+    let trajectory = &sample.joint_trajectory;
+    check_controller_rules(trajectory, &chain, 1.0);
+    let at_rest = vec![0.0; chain.dof()];
+    assert_eq!(
+        (&trajectory.velocities[begin], &trajectory.accelerations[begin]),
+        (&at_rest, &at_rest)
+    );
+    assert_eq!(trajectory.positions.len(), begin + there.joint_trajectory.positions.len());
+    assert_eq!(sample.position_stddev.len(), trajectory.positions.len());
+    let poses = &sample.end_effector_trajectory.base_from_tip;
+    assert_eq!(poses.len(), trajectory.positions.len());
+    for (q, pose) in trajectory.positions.iter().zip(poses) {
+        assert!((chain.forward(q).to_homogeneous() - pose.to_homogeneous()).norm() < 1e-9);
+    }
+    // The steps of the primitive are its own, and equal; the approach begins where the arm is.
+    let times = &trajectory.times_secs;
+    let step = times[begin + 1] - times[begin];
+    assert!(times[begin..].windows(2).all(|t| (t[1] - t[0] - step).abs() < 1e-9));
+    let first = &trajectory.positions[0];
+    assert!(first.iter().zip(&q).all(|(a, b)| (a - b).abs() < 0.05), "{first:?} after {q:?}");
+
+    // An arm that stands a bit outside a limit is pulled inside; further out it is left to a person.
+    let upper = chain.joints()[1].upper;
+    let beyond = |by: f64| {
+        let mut q = q.clone();
+        q[1] = upper + by;
+        starting_at(&server, &q)
+    };
+    check_controller_rules(&one(&server, &beyond(0.04)).joint_trajectory, &chain, 1.0);
+    let (code, message) = refusal(&server, &beyond(0.06));
+    assert_eq!(code, ErrorCode::JointLimit, "{message}");
+    assert!(message.starts_with("left_s1 stands at 1.107 rad, 0.060 rad beyond"), "{message}");
+
+    // What /joint_states say counts likewise, for as long as it is fresh.
+    let names = chain.joint_names();
+    let (some, rest) = names.split_at(3);
+    let named = |names: &[String], from: usize| -> Vec<(String, f64)> {
+        names.iter().cloned().zip(q[from..].iter().copied()).collect()
+    };
+    for (part, at_secs) in [(named(some, 0), 1.0), (named(rest, 3), 1.5)] {
+        server.set_joint_state(part.iter().map(|(name, q)| (name.as_str(), *q)), at_secs);
+    }
+    server.set_joint_state([("left_s0", f64::NAN), ("right_s0", 1.0)].into_iter(), 1.9);
+    let at = |now_secs: f64| {
+        let reply = server.sample(&request(), now_secs);
+        assert_eq!(reply.refusal, None);
+        reply.samples[0].clone()
+    };
+    assert_eq!(at(1.9).joint_trajectory, sample.joint_trajectory);
+    let late = at(2.1);
+    assert_eq!(late.primitive_start_index, 0);
+    assert!(late.warnings.iter().any(|w| w.contains("1.1 s old")), "{:?}", late.warnings);
+}
+
+#[test]
+fn an_arm_that_would_touch_the_table_goes_another_way_or_not_at_all() {
+    let mut server = server();
+    let free = one(&server, &request());
+    assert!(free.min_clearance >= 0.01, "{}", free.min_clearance);
+    // The table up to just below the hand: the motion stays clear of it or is refused.
+    let lowest = free.end_effector_trajectory.base_from_tip.iter().map(|p| p.translation.z);
+    let lowest = lowest.fold(f64::INFINITY, f64::min);
+    server.set_surroundings(Some(lowest - 0.02), 0.01).unwrap();
+    let (code, message) = refusal(&server, &request());
+    assert_eq!(code, ErrorCode::Collision, "{message}");
+    assert!(message.contains("and the table"), "{message}");
+    assert!(server.set_surroundings(Some(f64::NAN), 0.01).is_err());
+    assert!(server.set_surroundings(None, -0.01).is_err());
+    server.set_surroundings(None, 0.0).unwrap();
+    assert_eq!(one(&server, &request()).joint_trajectory, free.joint_trajectory);
 }
 
 #[test]

@@ -7,15 +7,17 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use tcvae::artifact::{Artifact, ArtifactError};
-use tcvae::config::BAXTER_URDF;
+use tcvae::config::{self, BAXTER_URDF};
+use tcvae::demonstrations::recording::RobotConfig;
+use tcvae::kinematics::CollisionRules;
 use tcvae::ros::arguments::{Arguments, Command, HELP};
 use tcvae::ros::environment::Environment;
 use tcvae::ros::log::NodeLog;
 use tcvae::ros::names::NodeNames;
 use tcvae::ros::node::RunningNode;
-use tcvae::ros::state::{Loader, NodeState};
+use tcvae::ros::state::{Loader, NodeState, RobotFiles};
 use tcvae::serving::{ErrorCode, Refusal, Robot, ServedModel};
-use tcvae::urdf::UrdfError;
+use tcvae::urdf::{self, UrdfError};
 use tokio::signal::unix::{SignalKind, signal};
 
 /// The model that is served without a file.
@@ -47,21 +49,33 @@ impl Loader for Files {
         })
     }
 
-    fn robot(&self, path: &str, base_frame: &str, tip_link: &str) -> Result<Robot, Refusal> {
-        check_regular(path)?;
-        let urdf = match path {
-            "" => BAXTER_URDF.to_owned(),
-            path => std::fs::read_to_string(path)
-                .map_err(|e| Refusal::new(ErrorCode::BadFile, format!("{path}: {e}")))?,
+    fn robot(&self, files: &RobotFiles) -> Result<Robot, Refusal> {
+        let RobotFiles { robot_path, urdf_path, base_frame, tip_link } = files;
+        check_regular(files.path())?;
+        if !robot_path.is_empty() {
+            let robot = config::robot(Some(Path::new(robot_path)), urdf::arm);
+            return robot
+                .map(|robot| robot.served())
+                .map_err(|e| Refusal::new(ErrorCode::BadFile, e.to_string()));
+        }
+        let (urdf, rules) = match urdf_path.as_str() {
+            "" => (BAXTER_URDF.to_owned(), RobotConfig::default().collision),
+            path => {
+                let urdf = std::fs::read_to_string(path)
+                    .map_err(|e| Refusal::new(ErrorCode::BadFile, format!("{path}: {e}")))?;
+                (urdf, CollisionRules::default())
+            }
         };
-        tcvae::urdf::robot(&urdf, base_frame, tip_link).map_err(|e| {
+        let file = if urdf_path.is_empty() { "the built-in robot" } else { urdf_path };
+        let arm = urdf::arm(&urdf, base_frame, tip_link).map_err(|e| {
             let code = match e {
                 UrdfError::Parse(_) => ErrorCode::BadFile,
                 _ => ErrorCode::RobotMismatch,
             };
-            let file = if path.is_empty() { "the built-in robot" } else { path };
             Refusal::new(code, format!("{file}: {e}"))
-        })
+        })?;
+        Robot::new(arm, &rules)
+            .map_err(|e| Refusal::new(ErrorCode::RobotMismatch, format!("{file}: {e}")))
     }
 }
 

@@ -3,11 +3,13 @@
 //! A robot with two mirrored arms has its demonstrations with either; those of the second arm are
 //! mirrored in the xz plane, joint by joint, so that all of them show the first arm.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use super::task::TaskSettingError;
-use crate::kinematics::Chain;
+use crate::kinematics::{Chain, CollisionRules, JointLimits};
 use crate::parameters::Interval;
 
 /// Joint angles and grippers over time, whatever file they came from.
@@ -164,6 +166,15 @@ pub struct RobotConfig {
     /// The other arm, if demonstrations with it count when mirrored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrored_arm: Option<Arm>,
+    /// A file of the joints' limits as MoveIt has it (`joint_limits.yaml`), relative to the TOML.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joint_limits: Option<String>,
+    /// Limits of joints by their names, in place of those of the file and of the description.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub limits: BTreeMap<String, JointLimits>,
+    /// What the arm must not touch.
+    #[serde(default)]
+    pub collision: CollisionRules,
     /// Where people work with the served arm, for simulating them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub workplace: Option<Workplace>,
@@ -215,6 +226,9 @@ impl Default for RobotConfig {
             tip_link: "left_gripper".into(),
             arm: arm("left", None),
             mirrored_arm: Some(arm("right", Some(super::mirroring::BAXTER_SIGNS.to_vec()))),
+            joint_limits: None,
+            limits: BTreeMap::new(),
+            collision: CollisionRules { table_height_m: Some(-0.22), ..CollisionRules::default() },
             workplace: Some(Workplace {
                 x_m: Interval { lower: 0.5, upper: 0.85 },
                 y_m: Interval { lower: -0.05, upper: 0.6 },

@@ -1,7 +1,10 @@
 //! The chain of joints from the base to the tip.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 
+use super::JointLimits;
 use super::forward::Link;
 
 /// How a joint moves.
@@ -36,6 +39,8 @@ pub struct Joint {
     /// Largest acceleration, rad/s² or m/s², where one is known. URDF files before version 1.2
     /// have none.
     pub acceleration: Option<f64>,
+    /// Largest jerk, rad/s³ or m/s³, where one is known.
+    pub jerk: Option<f64>,
 }
 
 impl Joint {
@@ -101,13 +106,15 @@ pub enum ChainError {
         /// The limit.
         velocity: f64,
     },
-    /// An acceleration limit that is not above 0.
-    #[error("joint {joint:?} has acceleration limit {acceleration}; it must be above 0")]
-    Acceleration {
+    /// An acceleration or a jerk limit that is not above 0.
+    #[error("joint {joint:?} has {what} limit {limit}; it must be above 0")]
+    Limit {
         /// Name of the joint.
         joint: String,
+        /// `acceleration` or `jerk`.
+        what: &'static str,
         /// The limit.
-        acceleration: f64,
+        limit: f64,
     },
 }
 
@@ -193,19 +200,22 @@ impl Chain {
         &self.last_joint_from_tip
     }
 
-    /// The same chain with these acceleration limits (rad/s² or m/s²), one per joint; `None` leaves
-    /// a joint without one.
+    /// The same chain with these limits in place of its own, by the names of joints; those of other joints
+    /// have no effect.
     ///
     /// # Errors
     /// A limit that is not above 0.
-    ///
-    /// # Panics
-    /// When `limits` has not one entry per joint.
-    pub fn with_accelerations(mut self, limits: &[Option<f64>]) -> Result<Self, ChainError> {
-        assert_eq!(limits.len(), self.dof(), "one acceleration limit per joint");
-        for (joint, &limit) in self.joints.iter_mut().zip(limits) {
-            joint.acceleration = limit;
-            check(joint)?;
+    pub fn with_limits(
+        mut self,
+        limits: &BTreeMap<String, JointLimits>,
+    ) -> Result<Self, ChainError> {
+        for joint in &mut self.joints {
+            if let Some(limits) = limits.get(&joint.name) {
+                joint.velocity = limits.velocity.unwrap_or(joint.velocity);
+                joint.acceleration = limits.acceleration.or(joint.acceleration);
+                joint.jerk = limits.jerk.or(joint.jerk);
+                check(joint)?;
+            }
         }
         Ok(self)
     }
@@ -234,6 +244,11 @@ impl Chain {
         self.joints.iter().zip(q).map(|(j, &v)| j.margin(v)).fold(f64::INFINITY, f64::min)
     }
 
+    /// Into the frame that forward kinematics uses for what a joint moves, from the joint's own frame.
+    pub(super) fn aligned_from_joint(&self, joint: usize) -> UnitQuaternion<f64> {
+        z_to(&self.joints[joint].axis).inverse()
+    }
+
     pub(super) fn assert_dof(&self, q: &[f64]) {
         assert_eq!(q.len(), self.dof(), "a configuration has one value per joint");
     }
@@ -253,12 +268,12 @@ fn check(joint: &Joint) -> Result<(), ChainError> {
     if !(joint.velocity.is_finite() && joint.velocity > 0.0) {
         return Err(ChainError::Velocity { joint: name(), velocity: joint.velocity });
     }
-    match joint.acceleration {
-        Some(acceleration) if !(acceleration.is_finite() && acceleration > 0.0) => {
-            Err(ChainError::Acceleration { joint: name(), acceleration })
+    for (what, limit) in [("acceleration", joint.acceleration), ("jerk", joint.jerk)] {
+        if let Some(limit) = limit.filter(|limit| !(limit.is_finite() && *limit > 0.0)) {
+            return Err(ChainError::Limit { joint: name(), what, limit });
         }
-        _ => Ok(()),
     }
+    Ok(())
 }
 
 fn is_finite(transform: &Isometry3<f64>) -> bool {
@@ -288,6 +303,7 @@ mod tests {
             upper: 0.1,
             velocity: 1.0,
             acceleration: None,
+            jerk: None,
         }
     }
 
@@ -322,10 +338,17 @@ mod tests {
 
     #[test]
     fn an_acceleration_limit_must_be_above_zero() {
-        let slow = chain(vec![slide()]).unwrap().with_accelerations(&[Some(2.0)]).unwrap();
-        assert_eq!(slow.joints()[0].acceleration, Some(2.0));
+        let limits = |acceleration, jerk| {
+            let limits = JointLimits { velocity: None, acceleration, jerk };
+            BTreeMap::from([(slide().name, limits), ("another".into(), limits)])
+        };
+        let free = chain(vec![slide()]).unwrap();
+        let slow = free.clone().with_limits(&limits(Some(2.0), None)).unwrap();
+        assert_eq!((slow.joints()[0].acceleration, slow.joints()[0].jerk), (Some(2.0), None));
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert!(slow.clone().with_accelerations(&[Some(bad)]).is_err());
+            assert!(free.clone().with_limits(&limits(Some(bad), None)).is_err());
+            let error = free.clone().with_limits(&limits(None, Some(bad))).unwrap_err();
+            assert!(error.to_string().contains("jerk limit"), "{error}");
         }
     }
 }

@@ -23,6 +23,7 @@ use nalgebra::{Isometry3, Rotation3};
 use rand::Rng;
 
 use super::chain::{Chain, Joint, JointKind};
+use super::clearance::{Contact, Hull, Posed, Who};
 use super::forward::Frame;
 use super::inverse::{Residual, Solver, Tolerance, rotation_vector};
 
@@ -42,7 +43,11 @@ const REACH_RESTARTS: usize = 32;
 
 /// How a path is followed.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FollowOptions {
+pub struct FollowOptions<'a> {
+    /// What must stay apart at every point.
+    pub hull: Option<&'a Hull>,
+    /// Smallest distance that is left between what must stay apart (m).
+    pub clearance_m: f64,
     /// How near to each pose the tip must be.
     pub tolerance: Tolerance,
     /// The configuration to begin near to, such as where the arm is. When its path is complete, it
@@ -63,9 +68,11 @@ pub struct FollowOptions {
     pub max_slowdown: f64,
 }
 
-impl Default for FollowOptions {
+impl Default for FollowOptions<'_> {
     fn default() -> Self {
         Self {
+            hull: None,
+            clearance_m: 0.01,
             tolerance: Tolerance::default(),
             start: None,
             starts: 64,
@@ -156,6 +163,26 @@ pub enum FollowError {
         /// How far it may move in that time with the largest slowdown (rad, or m).
         limit_rad: f64,
     },
+    /// Every pose can be reached, but not without the arm touching itself or the table.
+    #[error(
+        "at point {point} of {points} (t = {time_secs:.1} s) {contact} would {}; the limit is \
+         {:.1} cm",
+        apart(*distance_m), 100.0 * limit_m
+    )]
+    Collision {
+        /// The first point that fails, from 1.
+        point: usize,
+        /// Number of points.
+        points: usize,
+        /// Time of the point (s).
+        time_secs: f64,
+        /// What comes too near to what.
+        contact: Contact,
+        /// Their distance (m), negative where they overlap.
+        distance_m: f64,
+        /// Smallest distance that must be left (m).
+        limit_m: f64,
+    },
     /// The path is empty.
     #[error("the path has no points; it needs at least 1")]
     Empty,
@@ -173,6 +200,13 @@ pub enum FollowError {
         /// Positions in the start.
         found: usize,
     },
+}
+
+fn apart(distance_m: f64) -> String {
+    match distance_m {
+        d if d < 0.0 => format!("overlap by {:.1} cm", -100.0 * d),
+        d => format!("be {:.1} cm apart", 100.0 * d),
+    }
 }
 
 fn out_of_reach(position_error_m: f64, orientation_error_rad: f64) -> String {
@@ -197,7 +231,7 @@ pub fn follow<R: Rng + ?Sized>(
     chain: &Chain,
     base_from_tip: &[Isometry3<f64>],
     step_secs: f64,
-    options: &FollowOptions,
+    options: &FollowOptions<'_>,
     rng: &mut R,
 ) -> Result<Followed, FollowError> {
     check(chain, base_from_tip, step_secs, options)?;
@@ -214,7 +248,7 @@ fn check(
     chain: &Chain,
     base_from_tip: &[Isometry3<f64>],
     step_secs: f64,
-    options: &FollowOptions,
+    options: &FollowOptions<'_>,
 ) -> Result<(), FollowError> {
     let not_finite = |what: String| Err(FollowError::NotFinite { what });
     if base_from_tip.is_empty() {
@@ -254,7 +288,7 @@ struct Candidate {
 impl Candidate {
     /// 1 for a comfortable path; half of it is lost at a limit, and a faster one loses as much as
     /// it has to be slowed down.
-    fn score(&self, options: &FollowOptions) -> f64 {
+    fn score(&self, options: &FollowOptions<'_>) -> f64 {
         let margin = (self.margin / options.good_margin_rad).clamp(0.0, 1.0);
         0.5 * (1.0 + margin) / self.speed.max(1.0)
     }
@@ -310,6 +344,7 @@ struct Beyond {
 enum Obstacle {
     NotReached,
     Jump(Step),
+    Touches(f64, Who),
 }
 
 /// Where an attempt ended.
@@ -325,7 +360,7 @@ struct Failure {
 struct Follower<'a> {
     chain: &'a Chain,
     path: &'a [Frame],
-    options: &'a FollowOptions,
+    options: &'a FollowOptions<'a>,
     step_secs: f64,
     /// How far each joint may move in one step.
     bounds: Vec<f64>,
@@ -334,6 +369,7 @@ struct Follower<'a> {
     /// Share of the way to the middle in one step.
     pull: f64,
     solver: Solver<'a>,
+    posed: Option<(&'a Hull, Posed)>,
     before: Vec<f64>,
     starts: Vec<Vec<f64>>,
     attempt: Candidate,
@@ -346,7 +382,7 @@ impl<'a> Follower<'a> {
         chain: &'a Chain,
         path: &'a [Frame],
         step_secs: f64,
-        options: &'a FollowOptions,
+        options: &'a FollowOptions<'a>,
     ) -> Self {
         let bound = |joint: &Joint| (joint.velocity * step_secs).min(LARGEST_STEP);
         Self {
@@ -358,6 +394,7 @@ impl<'a> Follower<'a> {
             halvings: options.max_slowdown.clamp(1.0, 1024.0).log2().ceil() as u32,
             pull: 1.0 - (-step_secs / options.centring_secs).exp(),
             solver: Solver::new(chain),
+            posed: options.hull.map(|hull| (hull, Posed::new(hull))),
             before: vec![0.0; chain.dof()],
             starts: Vec::new(),
             attempt: Candidate {
@@ -421,12 +458,17 @@ impl<'a> Follower<'a> {
             return false;
         }
         self.starts.push(self.solver.q.clone());
+        if let Some(obstacle) = self.touches() {
+            self.fail(0, obstacle);
+            return false;
+        }
 
         self.attempt.restart();
         self.record(0, &residual);
         for index in 1..self.path.len() {
             let (from, to) = (self.path[index - 1], self.path[index]);
-            match self.advance(&from, &to, self.halvings, pull) {
+            let residual = self.advance(&from, &to, self.halvings, pull);
+            match residual.and_then(|residual| self.touches().map_or(Ok(residual), Err)) {
                 Ok(residual) => self.record(index, &residual),
                 Err(obstacle) => {
                     self.fail(index, obstacle);
@@ -440,6 +482,13 @@ impl<'a> Follower<'a> {
             None => self.best = Some(self.attempt.clone()),
         }
         true
+    }
+
+    /// What comes too near to what where the solver stands.
+    fn touches(&mut self) -> Option<Obstacle> {
+        let (hull, posed) = self.posed.as_mut()?;
+        let (distance, who) = posed.nearest(hull, self.chain, &self.solver.q)?;
+        (distance < self.options.clearance_m).then_some(Obstacle::Touches(distance, who))
     }
 
     /// Goes from one pose to the next without a jump.
@@ -517,6 +566,17 @@ impl<'a> Follower<'a> {
         }
         let step = match (obstacle, arrival) {
             (Obstacle::Jump(step), _) => step,
+            (Obstacle::Touches(distance_m, who), _) => {
+                let hull = self.options.hull.expect("only a hull touches");
+                return FollowError::Collision {
+                    point: index + 1,
+                    points: self.path.len(),
+                    time_secs: self.time_secs(index),
+                    contact: hull.contact(who),
+                    distance_m,
+                    limit_m: self.options.clearance_m,
+                };
+            }
             (Obstacle::NotReached, arrival) => {
                 // The arm got stuck: at a limit, or where its branch of solutions ends.
                 let mut free = Solver::without_limits(self.chain);

@@ -87,14 +87,31 @@ impl Chain {
         tip
     }
 
+    /// The frames of what the joints move, in the base frame and turned so that each joint's axis is z.
+    pub(super) fn bodies(&self, q: &[f64], bodies: &mut Vec<Frame>) {
+        bodies.clear();
+        self.walk(q, |_, _| (), |frame| bodies.push(*frame));
+    }
+
     /// The tip; `visit` sees each joint's frame on the way.
     #[inline]
-    fn tip(&self, q: &[f64], mut visit: impl FnMut(usize, &Frame)) -> Frame {
+    fn tip(&self, q: &[f64], visit: impl FnMut(usize, &Frame)) -> Frame {
+        self.walk(q, visit, |_| ())
+    }
+
+    /// The tip; `before` sees each joint's frame on the way, and `after` the same once the joint has moved it.
+    #[inline]
+    fn walk(
+        &self,
+        q: &[f64],
+        mut before: impl FnMut(usize, &Frame),
+        mut after: impl FnMut(&Frame),
+    ) -> Frame {
         let mut frame = Frame { rotation: Matrix3::identity(), position: Vector3::zeros() };
         for (joint, (link, &value)) in self.links.iter().zip(q).enumerate() {
             frame.position += frame.rotation * link.translation;
             frame.rotation *= link.rotation;
-            visit(joint, &frame);
+            before(joint, &frame);
             if link.prismatic {
                 frame.position += frame.rotation.column(2) * value;
             } else {
@@ -104,6 +121,7 @@ impl Chain {
                 frame.rotation.set_column(0, &(x * cos + y * sin));
                 frame.rotation.set_column(1, &(y * cos - x * sin));
             }
+            after(&frame);
         }
         let (rotation, translation) = &self.last_link_from_tip;
         frame.position += frame.rotation * translation;

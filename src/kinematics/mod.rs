@@ -3,10 +3,12 @@
 //!
 //! A [`Chain`] comes from a robot description (the `urdf` module reads one). [`Chain::forward`] and
 //! [`Chain::jacobian`] go from joints to the tip; [`inverse`] goes back for one pose and
-//! [`following`] for a whole path; [`timing`] gives joint positions times and velocities that the
+//! [`following`] for a whole path, clear of what a [`Hull`] says it must not touch; [`timing`] gives joint positions times and velocities that the
 //! arm can keep.
 
 mod chain;
+mod clearance;
+mod description;
 mod forward;
 mod record;
 
@@ -15,4 +17,8 @@ pub mod inverse;
 pub mod timing;
 
 pub use chain::{Chain, ChainError, Joint, JointKind};
+pub use clearance::{Capsule, Contact, Hull, Nearest};
+pub use description::{
+    ArmDescription, CollisionRules, JointLimits, LinkPlace, PartRule, RuleError,
+};
 pub use record::{RecordMismatch, RobotRecord};

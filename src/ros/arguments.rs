@@ -1,4 +1,4 @@
-//! The node's command line: `--model`, `--urdf`, and everything that `rcl` understands after
+//! The node's command line: `--model`, `--robot`, `--urdf`, and everything that `rcl` understands after
 //! `--ros-args`.
 
 use std::collections::BTreeMap;
@@ -20,7 +20,8 @@ Without options it serves the built-in model on the built-in Baxter description.
 
 Options:
   --model FILE      the model to serve; same as the parameter model_path
-  --urdf FILE       the robot's description; same as the parameter urdf_path
+  --robot FILE      the robot's TOML, as tcvae's --robot; same as the parameter robot_path
+  --urdf FILE       the robot's description alone; same as the parameter urdf_path
   -h, --help        print this and leave
   -V, --version     print the version and leave
 
@@ -169,7 +170,7 @@ impl Arguments {
     /// Arguments that are unknown, incomplete or of the wrong form.
     pub fn parse(arguments: impl IntoIterator<Item = String>) -> Result<Command, ArgumentError> {
         let mut parsed = Self::default();
-        // `--model` and `--urdf` override parameter files, wherever they stand.
+        // `--model`, `--robot` and `--urdf` override parameter files, wherever they stand.
         let mut plain = Vec::new();
         let mut in_ros_arguments = false;
         let mut arguments = arguments.into_iter();
@@ -234,7 +235,7 @@ impl Arguments {
             _ => {
                 let hint = if flag.contains(":=") {
                     format!("write -r {flag} to remap, -p {flag} to set a parameter")
-                } else if ["--model", "--urdf", "-h", "--help", "-V", "--version"]
+                } else if ["--model", "--robot", "--urdf", "-h", "--help", "-V", "--version"]
                     .contains(&flag.as_str())
                 {
                     "it stands before --ros-args, or after a closing --".to_owned()
@@ -286,7 +287,7 @@ impl Arguments {
     }
 }
 
-/// `--model FILE` or `--urdf=FILE`, as the parameter that it sets.
+/// `--model FILE`, `--robot FILE` or `--urdf=FILE`, as the parameter that it sets.
 fn plain_argument(
     argument: String,
     rest: &mut impl Iterator<Item = String>,
@@ -297,6 +298,7 @@ fn plain_argument(
     };
     let name = match flag {
         "--model" => "model_path",
+        "--robot" => "robot_path",
         "--urdf" => "urdf_path",
         _ => {
             let is_ros = ["-r", "-p", "--remap", "--param", "--params-file", "--log-level"]
@@ -304,7 +306,7 @@ fn plain_argument(
                 || argument.contains(":=");
             let hint = match is_ros {
                 true => format!("write tcvae_node --ros-args {argument} …"),
-                false => "there are --model FILE, --urdf FILE, --help, --version, and --ros-args \
+                false => "there are --model FILE, --robot FILE, --urdf FILE, --help, --version, and --ros-args \
                           for the rest"
                     .to_owned(),
             };

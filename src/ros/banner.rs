@@ -22,7 +22,7 @@ pub struct Banner<'a> {
     /// Where the model comes from; empty for the built-in one.
     pub model_path: &'a str,
     /// Where the robot comes from; empty for the built-in one.
-    pub urdf_path: &'a str,
+    pub robot_path: &'a str,
     /// The frames.
     pub frames: &'a Frames,
     /// The node's names.
@@ -59,7 +59,7 @@ impl Banner<'_> {
             description.model_id,
             source(self.model_path),
             description.robot,
-            source(self.urdf_path),
+            source(self.robot_path),
             description.joint_names.len(),
             frames.base,
             frames.tip,
@@ -206,7 +206,7 @@ mod tests {
             locations: &[location("pour_location"), location("source_cup")],
             example: &[[0.65, 0.3], [0.6, 0.1]],
             model_path: "",
-            urdf_path: "my.urdf",
+            robot_path: "my.urdf",
             frames: &Frames { base: "base".into(), tip: "left_gripper".into() },
             names: &NodeNames::new("tcvae", &[rules]).unwrap(),
             environment: &Environment::read(|_| None).unwrap(),

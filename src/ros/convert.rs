@@ -173,20 +173,17 @@ impl Frames {
 
     /// The trajectory that a joint trajectory controller follows at once (stamp 0).
     pub fn joint_trajectory(&self, joints: &JointTrajectory) -> trajectory_msgs::JointTrajectory {
-        let points = joints.times_secs.iter().zip(&joints.positions).zip(&joints.velocities);
-        let point = |((time, positions), velocities): ((&f64, &Vec<f64>), &Vec<f64>)| {
-            trajectory_msgs::JointTrajectoryPoint {
-                positions: positions.clone(),
-                velocities: velocities.clone(),
-                accelerations: Vec::new(),
-                effort: Vec::new(),
-                time_from_start: Duration::from_secs_f64(*time),
-            }
+        let point = |(i, time): (usize, &f64)| trajectory_msgs::JointTrajectoryPoint {
+            positions: joints.positions[i].clone(),
+            velocities: joints.velocities[i].clone(),
+            accelerations: joints.accelerations[i].clone(),
+            effort: Vec::new(),
+            time_from_start: Duration::from_secs_f64(*time),
         };
         trajectory_msgs::JointTrajectory {
             header: self.header(Time::default()),
             joint_names: joints.joint_names.clone(),
-            points: points.map(point).collect(),
+            points: joints.times_secs.iter().enumerate().map(point).collect(),
         }
     }
 
@@ -360,12 +357,14 @@ mod tests {
             times_secs: vec![0.1, 2.25],
             positions: vec![vec![1.0, 2.0], vec![3.0, 4.0]],
             velocities: vec![vec![0.5, 0.5], vec![0.0, 0.0]],
+            accelerations: vec![vec![0.1, 0.2], vec![0.3, 0.4]],
         };
         let message = frames().joint_trajectory(&joints);
         assert_eq!(message.header.stamp, Time::default());
         assert_eq!(message.points[1].time_from_start, Duration { sec: 2, nanosec: 250_000_000 });
         assert_eq!(message.points[0].positions, [1.0, 2.0]);
         assert_eq!(message.points[1].velocities, [0.0, 0.0]);
+        assert_eq!(message.points[1].accelerations, [0.3, 0.4]);
     }
 
     #[test]

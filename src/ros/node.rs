@@ -29,6 +29,7 @@ use super::log::NodeLog;
 use super::messages::builtin_interfaces::Time;
 use super::messages::geometry_msgs::{PointStamped, PoseStamped};
 use super::messages::nav_msgs::Path;
+use super::messages::sensor_msgs::JointState;
 use super::messages::std_msgs::Text;
 use super::messages::std_srvs::{TriggerRequest, TriggerResponse};
 use super::messages::tcvae_msgs::{
@@ -141,7 +142,10 @@ impl RunningNode {
             warn_of_twin(names.clone(), context.participant_entities_info().gid()),
         ));
         let shared = Arc::new(Shared {
-            frames: Frames { base: state.base_frame.clone(), tip: state.tip_link.clone() },
+            frames: Frames {
+                base: state.robot_files().base_frame.clone(),
+                tip: state.robot_files().tip_link.clone(),
+            },
             loader,
             clock: Clock { started: Instant::now(), simulated: AtomicI64::new(0) },
             state: Mutex::new(state),
@@ -175,6 +179,18 @@ impl RunningNode {
         let weak = Arc::downgrade(&shared);
         tasks.spawn(each(goal_pose, move |goal: PoseStamped| {
             with(&weak, |shared| shared.goal_pose(&goal));
+        }));
+        let joint_states = shared.wiring().subscription(
+            "/joint_states",
+            ("sensor_msgs", "JointState"),
+            QosProfile::subscription_default().history(History::KeepLast { depth: 1 }),
+        )?;
+        let weak = Arc::downgrade(&shared);
+        tasks.spawn(each(joint_states, move |joints: JointState| {
+            with(&weak, |shared| {
+                let named = joints.name.iter().map(String::as_str).zip(joints.position);
+                shared.state().server.set_joint_state(named, shared.now_secs());
+            });
         }));
         shared.sync_topics();
         shared.announce_model();
@@ -243,7 +259,7 @@ impl Shared {
             locations: state.server.model().space().locations(),
             example: &state.server.model().example_task(),
             model_path: state.model_path(),
-            urdf_path: state.urdf_path(),
+            robot_path: state.robot_files().path(),
             frames: &self.frames,
             names: &self.names,
             environment,

@@ -9,7 +9,7 @@ use ros2_client::ParameterValue;
 use super::parameters::{Parameter, Range, find, suggestion};
 use crate::serving::{
     ErrorCode, MannerMode, OutOfDistribution, PrimitiveServer, Refusal, Robot, ServedModel,
-    Settings,
+    Settings, StartPolicy,
 };
 
 /// Reads models and robots from files; an empty path means the built-in one. The binary provides
@@ -21,11 +21,31 @@ pub trait Loader: Send + Sync {
     /// [`ErrorCode::BadFile`], [`ErrorCode::FormatVersion`].
     fn model(&self, path: &str) -> Result<ServedModel, Refusal>;
 
-    /// The arm from `base_frame` to `tip_link` in the description at this path.
+    /// The robot of these files.
     ///
     /// # Errors
     /// [`ErrorCode::BadFile`], [`ErrorCode::RobotMismatch`].
-    fn robot(&self, path: &str, base_frame: &str, tip_link: &str) -> Result<Robot, Refusal>;
+    fn robot(&self, files: &RobotFiles) -> Result<Robot, Refusal>;
+}
+
+/// Where the robot comes from. At least one of the first two is empty.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RobotFiles {
+    /// A robot's TOML; it says everything, so that the rest does not count.
+    pub robot_path: String,
+    /// A robot's description; empty for the built-in one.
+    pub urdf_path: String,
+    /// Link that all positions are given in.
+    pub base_frame: String,
+    /// Link that moves.
+    pub tip_link: String,
+}
+
+impl RobotFiles {
+    /// The file that the robot comes from; empty for the built-in one.
+    pub fn path(&self) -> &str {
+        if self.robot_path.is_empty() { &self.urdf_path } else { &self.robot_path }
+    }
 }
 
 /// The state of the node. A clone is cheap, so a change is made on a clone that takes the place
@@ -38,12 +58,8 @@ pub struct NodeState {
     pub publish_on_task: bool,
     /// Whether time comes from `/clock`.
     pub use_sim_time: bool,
-    /// Link that positions are given in.
-    pub base_frame: String,
-    /// Link that moves.
-    pub tip_link: String,
     model_path: String,
-    urdf_path: String,
+    robot: RobotFiles,
     /// What each location of the task is while nothing else was given.
     defaults: Vec<(String, Option<[f64; 2]>)>,
 }
@@ -57,12 +73,20 @@ pub struct Loaded {
     pub model: Arc<ServedModel>,
 }
 
-/// The parameters that are fixed at start, their built-in values, and what they are for.
-const FIXED: [(&str, &str, &str); 3] = [
-    ("urdf_path", "", "Robot description (URDF file); empty for the built-in Baxter"),
-    ("base_frame", "base", "Link that all positions are given in"),
-    ("tip_link", "left_gripper", "Link that the motion moves"),
+/// The parameters that are fixed at start, and what they are for. All may be empty at start.
+const FIXED: [(&str, &str); 4] = [
+    (
+        "robot_path",
+        "Robot's TOML, as tcvae's --robot: description, frames, limits, what must not be touched; \
+         empty for urdf_path, base_frame and tip_link",
+    ),
+    ("urdf_path", "Robot description (URDF file); empty for the built-in Baxter"),
+    ("base_frame", "Link that all positions are given in; empty at start for the model's"),
+    ("tip_link", "Link that the motion moves; empty at start for the model's"),
 ];
+
+/// The height of a table that nothing can touch.
+const NO_TABLE_M: f64 = -10.0;
 
 impl NodeState {
     /// The state at start, with these parameters; and warnings of those that there are not.
@@ -73,27 +97,45 @@ impl NodeState {
         mut values: BTreeMap<String, ParameterValue>,
         loader: &dyn Loader,
     ) -> Result<(Self, Vec<String>), Refusal> {
-        let mut text = |name: &str, built_in: &str| match values.remove(name) {
-            None => Ok(built_in.to_owned()),
+        let mut text = |name: &str| match values.remove(name) {
+            None => Ok(String::new()),
             Some(ParameterValue::String(text)) => Ok(text),
             Some(_) => Err(bad_request(format!("{name} is not a string; write {name}:='…'"))),
         };
-        let model_path = text("model_path", "")?;
-        let [urdf_path, base_frame, tip_link] =
-            FIXED.map(|(name, built_in, _)| text(name, built_in));
-        let (urdf_path, base_frame, tip_link) = (urdf_path?, base_frame?, tip_link?);
-        let robot = loader.robot(&urdf_path, &base_frame, &tip_link)?;
+        let model_path = text("model_path")?;
+        let [robot_path, urdf_path, base_frame, tip_link] = FIXED.map(|(name, _)| text(name));
+        let mut files = RobotFiles {
+            robot_path: robot_path?,
+            urdf_path: urdf_path?,
+            base_frame: base_frame?,
+            tip_link: tip_link?,
+        };
         let model = loader.model(&model_path)?;
+        if files.robot_path.is_empty() {
+            let RobotFiles { base_frame, tip_link, .. } = &mut files;
+            let models = [&model.robot.base_frame, &model.robot.tip_frame];
+            for (frame, models) in [base_frame, tip_link].into_iter().zip(models) {
+                if frame.is_empty() {
+                    frame.clone_from(models);
+                }
+            }
+        } else if [&files.urdf_path, &files.base_frame, &files.tip_link] != [""; 3] {
+            return Err(bad_request(
+                "robot_path says what urdf_path, base_frame and tip_link would; leave them empty"
+                    .into(),
+            ));
+        }
+        let robot = loader.robot(&files)?;
+        files.base_frame = robot.chain.base_frame().to_owned();
+        files.tip_link = robot.chain.tip_frame().to_owned();
         let server = PrimitiveServer::new(Arc::new(model), Arc::new(robot), Settings::default())?;
         let mut state = Self {
             defaults: no_defaults(&server),
             server,
             publish_on_task: false,
             use_sim_time: false,
-            base_frame,
-            tip_link,
             model_path,
-            urdf_path,
+            robot: files,
         };
         let mut warnings = Vec::new();
         for (name, value) in values {
@@ -118,9 +160,9 @@ impl NodeState {
         &self.model_path
     }
 
-    /// Path of the robot's description; empty for the built-in one.
-    pub fn urdf_path(&self) -> &str {
-        &self.urdf_path
+    /// Where the robot comes from, with the frames that are used.
+    pub fn robot_files(&self) -> &RobotFiles {
+        &self.robot
     }
 
     /// All parameters as they are now, in the order of their names.
@@ -133,7 +175,7 @@ impl NodeState {
                 name: name.into(),
                 description: description.into(),
                 range,
-                read_only: FIXED.iter().any(|(fixed, ..)| *fixed == name),
+                read_only: FIXED.iter().any(|(fixed, _)| *fixed == name),
                 value,
             });
         };
@@ -144,8 +186,9 @@ impl NodeState {
             Range::Any,
             P::String(self.model_path.clone()),
         );
-        let fixed = [&self.urdf_path, &self.base_frame, &self.tip_link];
-        for ((name, _, description), value) in FIXED.into_iter().zip(fixed) {
+        let RobotFiles { robot_path, urdf_path, base_frame, tip_link } = &self.robot;
+        let fixed = [robot_path, urdf_path, base_frame, tip_link];
+        for ((name, description), value) in FIXED.into_iter().zip(fixed) {
             add(name, description, Range::Any, P::String(value.clone()));
         }
         add(
@@ -227,10 +270,39 @@ impl NodeState {
             P::Double(settings.acceleration_scale),
         );
         add(
+            "start.policy",
+            "What happens where the arm is not at the first point of the motion: it is brought there \
+             first, or the motion is refused, or nobody cares",
+            Range::OneOf(&["approach", "refuse", "ignore"]),
+            P::String(match settings.start_policy {
+                StartPolicy::Approach => "approach".into(),
+                StartPolicy::Refuse => "refuse".into(),
+                StartPolicy::Ignore => "ignore".into(),
+            }),
+        );
+        add(
             "start.tolerance_rad",
-            "Largest distance (rad) of a joint from the start that a request gives",
+            "Largest distance (rad) of a joint from the first point that start.policy refuse allows",
             Range::Double(0.0, 3.2),
             P::Double(settings.start_tolerance_rad),
+        );
+        add(
+            "start.max_age_s",
+            "Oldest /joint_states (s) that tell where the arm is, counted from their receipt",
+            Range::Double(0.01, 3600.0),
+            P::Double(settings.start_max_age_secs),
+        );
+        add(
+            "collision.clearance_m",
+            "Smallest distance (m) that the arm leaves to itself and to the table",
+            Range::Double(0.0, 1.0),
+            P::Double(self.server.robot().clearance_m),
+        );
+        add(
+            "collision.table_height_m",
+            "Height (m) of the table in the base frame; -10 for no table",
+            Range::Double(NO_TABLE_M, 10.0),
+            P::Double(self.server.table_height_m().unwrap_or(NO_TABLE_M)),
         );
         add(
             "out_of_distribution",
@@ -315,6 +387,21 @@ impl NodeState {
             ("limits.velocity_scale", P::Double(value)) => settings.velocity_scale = value,
             ("limits.acceleration_scale", P::Double(value)) => settings.acceleration_scale = value,
             ("start.tolerance_rad", P::Double(value)) => settings.start_tolerance_rad = value,
+            ("start.max_age_s", P::Double(value)) => settings.start_max_age_secs = value,
+            ("start.policy", P::String(value)) => {
+                settings.start_policy = match value.as_str() {
+                    "refuse" => StartPolicy::Refuse,
+                    "ignore" => StartPolicy::Ignore,
+                    _ => StartPolicy::Approach,
+                }
+            }
+            ("collision.clearance_m", P::Double(value)) => {
+                self.server.set_surroundings(self.server.table_height_m(), value)?;
+            }
+            ("collision.table_height_m", P::Double(value)) => {
+                let table = (value > NO_TABLE_M).then_some(value);
+                self.server.set_surroundings(table, self.server.robot().clearance_m)?;
+            }
             ("out_of_distribution", P::String(value)) => {
                 settings.out_of_distribution = match value.as_str() {
                     "warn" => OutOfDistribution::Warn,

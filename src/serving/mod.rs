@@ -4,7 +4,8 @@
 //! A motion leaves only as a [`Sample`], and a [`Sample`] is made only by
 //! [`PrimitiveServer::sample`], after every check: the empirical task parameters of the motion as
 //! the joints execute it are within tolerance (the paper's `G`, eq. 15), every joint stays inside
-//! its limits and steps no further than its velocity allows, and the motion is valid.
+//! its limits, between the points too, steps no further than its velocity allows, the arm touches neither
+//! itself nor the table, and the motion is valid.
 
 mod familiarity;
 mod model;
@@ -21,4 +22,4 @@ pub use request::{
     Description, GivenLocation, MAX_COUNT, RankBy, Sample, SampleReply, SampleRequest,
 };
 pub use server::PrimitiveServer;
-pub use settings::{MannerMode, OutOfDistribution, Settings};
+pub use settings::{MannerMode, OutOfDistribution, Settings, StartPolicy};

@@ -1,7 +1,7 @@
 //! What a server serves: a primitive with its task, on a robot.
 
 use crate::demonstrations::Task;
-use crate::kinematics::{Chain, RobotRecord};
+use crate::kinematics::{ArmDescription, Chain, CollisionRules, Hull, RobotRecord, RuleError};
 use crate::parameters::{Interval, TaskSpace};
 use crate::pose::StateFrame;
 use crate::primitive::MannerConditioned;
@@ -59,4 +59,20 @@ pub struct Robot {
     pub name: String,
     /// From the base frame to the tip.
     pub chain: Chain,
+    /// What must stay apart.
+    pub hull: Hull,
+    /// Smallest distance that is left between what must stay apart (m).
+    pub clearance_m: f64,
+}
+
+impl Robot {
+    /// The robot of a description under these rules.
+    ///
+    /// # Errors
+    /// Rules that do not fit the description.
+    pub fn new(arm: ArmDescription, rules: &CollisionRules) -> Result<Self, RuleError> {
+        let hull = arm.hull(rules)?;
+        let ArmDescription { name, chain, .. } = arm;
+        Ok(Self { name, chain, hull, clearance_m: rules.clearance_m })
+    }
 }

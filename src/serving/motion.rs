@@ -8,13 +8,13 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
 use crate::demonstrations::TaskMeasureError;
-use crate::kinematics::Chain;
 use crate::kinematics::following::{FollowError, FollowOptions, follow};
-use crate::kinematics::timing::{Timed, time};
+use crate::kinematics::timing::{Overshoot, Scales, Timed, approach, eased, time};
+use crate::kinematics::{Chain, Nearest};
 use crate::parameters::{MannerParameters, TaskParameters};
 use crate::primitive::Generated;
 use crate::serving::{ErrorCode, GivenLocation, Refusal, Robot, Sample, ServedModel};
-use crate::trajectory::{EndEffectorTrajectory, Motion};
+use crate::trajectory::{EndEffectorTrajectory, JointTrajectory, Motion};
 
 /// Decodings beyond the first with which a motion is aimed at its task.
 const AIM_ROUNDS: usize = 3;
@@ -22,6 +22,17 @@ const AIM_ROUNDS: usize = 3;
 const AIM_SHARE: f64 = 0.05;
 /// Largest factor by which a motion is slowed down beyond what the velocity scale alone asks for.
 const MOST_SLOWDOWN: f64 = 4.0;
+/// A motion whose ends are faster than rest gathers and loses speed at these rates of the tip.
+const EASE_M_PER_S2: f64 = 0.5;
+const EASE_RAD_PER_S2: f64 = 1.5;
+/// The longest that takes at either end, as a share of the motion.
+const MOST_EASE: f64 = 0.1;
+/// Configurations between two points at which the clearance is looked at.
+const BETWEEN: usize = 3;
+/// Heights by which an approach is led over what is in the way (m).
+const DETOURS_M: [f64; 3] = [0.1, 0.2, 0.3];
+/// Where an arm that is nearer to the first point than this begins (rad or m), it needs no approach.
+const THERE: f64 = 1e-3;
 /// Seed of the inverse kinematics' start configurations. It is fixed, so that one task in one
 /// manner is always the same motion.
 const START_SEED: u64 = 1;
@@ -32,12 +43,30 @@ pub(super) struct Order {
     pub(super) w: TaskParameters,
     pub(super) in_distribution_task: f64,
     pub(super) tolerance_m: f64,
-    pub(super) velocity_scale: f64,
-    pub(super) acceleration_scale: f64,
+    pub(super) scales: Scales,
     pub(super) rate_hz: Option<f64>,
-    pub(super) start: Option<Vec<f64>>,
-    pub(super) start_tolerance_rad: f64,
+    pub(super) start: Start,
     pub(super) warnings: Vec<String>,
+}
+
+/// Where the arm is before the motion.
+#[derive(Debug, Clone)]
+pub(super) enum Start {
+    /// It is brought from here to the first point.
+    Approach(Vec<f64>),
+    /// It has to be at the first point, within a tolerance (rad or m).
+    Near(Vec<f64>, f64),
+    /// Nobody asks.
+    Anywhere,
+}
+
+impl Start {
+    fn positions(&self) -> Option<&Vec<f64>> {
+        match self {
+            Self::Approach(q) | Self::Near(q, _) => Some(q),
+            Self::Anywhere => None,
+        }
+    }
 }
 
 /// A try that may not leave.
@@ -68,7 +97,6 @@ struct Executed {
     timed: Timed,
     position_error_m: f64,
     orientation_error_rad: f64,
-    joint_margin: f64,
 }
 
 impl Order {
@@ -84,40 +112,58 @@ impl Order {
         let generated = self.aimed(model, h, &mut warnings);
         let stddev = generated.stddev.clone();
         let decoded = generated.motion(model.duration_secs);
-        let mut executed = self.executed(model, robot, &decoded)?;
-        let mut points = decoded.states.steps();
+        let ends = end_times(model, &decoded);
+        let ease = |points: usize| {
+            let (shares, duration_secs) = eased(decoded.duration_secs, ends[0], ends[1], points);
+            let shares: Vec<_> = shares.collect();
+            let states = decoded.states.at(shares.iter().copied());
+            (Motion { states, duration_secs }, shares)
+        };
+        let (mut motion, mut shares) = ease(decoded.states.steps());
+        let mut executed = self.executed(model, robot, &motion)?;
         if let Some(rate_hz) = self.rate_hz {
             // The rate counts in the time that the motion takes once it is slowed down.
-            let duration = decoded.duration_secs * executed.timed.slowdown;
-            points = (duration * rate_hz).round().max(1.0) as usize + 1;
-            let states = decoded.states.resampled(points);
-            executed = self.executed(model, robot, &Motion { states, ..decoded })?;
+            let duration = motion.duration_secs * executed.timed.slowdown;
+            (motion, shares) = ease((duration * rate_hz).round().max(1.0) as usize + 1);
+            executed = self.executed(model, robot, &motion)?;
         }
         let empirical = self.check_task(model, &executed)?;
         self.check_validity(model, &executed)?;
-        if self.start.is_none() {
-            warnings.push("no joint states: the trajectory starts at its own first point".into());
-        }
-        let stddev = stddev.resampled(points);
+        let Executed { poses, timed, position_error_m, orientation_error_rad, .. } = executed;
+        let Timed { trajectory: primitive, slowdown } = timed;
+
+        let approach = self.approach(robot, &primitive)?;
+        let begin = approach.as_ref().map_or(0, |approach| approach.times_secs.len() - 1);
+        let whole = match approach {
+            Some(approach) => approach.followed_by(primitive),
+            None => primitive,
+        };
+        let min_clearance = self.check_clearance(robot, &whole)?;
+        let before = whole.positions[..begin].iter().map(|q| robot.chain.forward(q));
+        let stddev = stddev.at(shares.into_iter());
+        let margins = whole.positions.iter().map(|q| robot.chain.margin(q));
         Ok(Sample {
             end_effector_trajectory: EndEffectorTrajectory {
-                times_secs: executed.timed.trajectory.times_secs.clone(),
-                base_from_tip: executed.poses,
+                times_secs: whole.times_secs.clone(),
+                base_from_tip: before.chain(poses).collect(),
             },
-            joint_trajectory: executed.timed.trajectory,
-            primitive_start_index: 0,
+            primitive_start_index: begin as u32,
             manner_names: model.primitive.manner_space().names(),
             manner_values: h.values().to_vec(),
             task_error: model.space().distance(&self.w, &empirical),
             empirical_task: named(model, &empirical),
-            position_error: executed.position_error_m,
-            orientation_error: executed.orientation_error_rad,
-            joint_margin: executed.joint_margin,
-            min_clearance: f64::NAN,
-            slowdown: executed.timed.slowdown,
+            position_error: position_error_m,
+            orientation_error: orientation_error_rad,
+            joint_margin: margins.fold(f64::INFINITY, f64::min),
+            min_clearance,
+            slowdown,
             in_distribution_task: self.in_distribution_task,
             in_distribution_manner: model.familiarity.manner(h.values()),
-            position_stddev: stddev.states().map(position_stddev).collect(),
+            // An approach is not learned, so there is nothing uncertain about it.
+            position_stddev: std::iter::repeat_n(0.0, begin)
+                .chain(stddev.states().map(position_stddev))
+                .collect(),
+            joint_trajectory: whole,
             seed: 0,
             tries: 0,
             warnings,
@@ -177,21 +223,21 @@ impl Order {
         let chain = &robot.chain;
         let step_secs = motion.step_secs();
         let wished = model.frame.poses(&motion.states);
-        let options = FollowOptions { start: self.start.clone(), ..FollowOptions::default() };
+        let options = FollowOptions {
+            hull: Some(&robot.hull),
+            clearance_m: robot.clearance_m,
+            start: self.start.positions().cloned(),
+            ..FollowOptions::default()
+        };
         let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
         let followed = follow(chain, &wished, step_secs, &options, &mut rng)
             .map_err(|e| cannot_follow(model, chain, &wished, &self.w, &e))?;
-        if let Some(start) = &self.start {
-            self.check_start(robot, start, &followed.positions[0])?;
+        if let Start::Near(start, tolerance) = &self.start {
+            check_start(robot, start, &followed.positions[0], *tolerance)?;
         }
-        let timed = time(
-            chain,
-            &followed.positions,
-            step_secs,
-            self.velocity_scale,
-            self.acceleration_scale,
-        );
-        let beyond = timed.slowdown * self.velocity_scale.min(self.acceleration_scale);
+        let timed = time(chain, &followed.positions, step_secs, self.scales)
+            .map_err(|e| swings(model, &e))?;
+        let beyond = timed.slowdown * self.scales.velocity.min(self.scales.acceleration);
         if beyond > MOST_SLOWDOWN {
             return Err(Failure {
                 refusal: Refusal::new(
@@ -216,30 +262,108 @@ impl Order {
             timed,
             position_error_m: followed.position_error_m,
             orientation_error_rad: followed.orientation_error_rad,
-            joint_margin: followed.joint_margin_rad,
         })
     }
 
-    fn check_start(&self, robot: &Robot, start: &[f64], first: &[f64]) -> Result<(), Failure> {
-        let differences = start.iter().zip(first).map(|(a, b)| (a - b).abs());
-        let worst = differences.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-        match worst {
-            Some((joint, difference)) if difference > self.start_tolerance_rad => Err(Failure {
+    /// The way from where the arm is to the motion's first point, straight through joint space, or over what
+    /// is in the way; nothing where it is there, or where nobody asks.
+    fn approach(
+        &self,
+        robot: &Robot,
+        primitive: &JointTrajectory,
+    ) -> Result<Option<JointTrajectory>, Failure> {
+        let Start::Approach(from) = &self.start else { return Ok(None) };
+        let to = &primitive.positions[0];
+        if from.iter().zip(to).all(|(a, b)| (a - b).abs() < THERE) {
+            return Ok(None);
+        }
+        let step_secs = primitive.times_secs[0];
+        let direct = self.legs(robot, &[from, to], step_secs)?;
+        let touches = match touching(robot, &direct) {
+            None => return Ok(Some(direct)),
+            Some(nearest) => nearest,
+        };
+        // Over it: from above the first point, or also up from where the arm is.
+        for height in DETOURS_M {
+            let Some(above) = lifted(robot, to, height) else { continue };
+            let mut ways = vec![vec![from, &above, to]];
+            let risen = lifted(robot, from, height);
+            if let Some(risen) = &risen {
+                ways.push(vec![from, risen, &above, to]);
+            }
+            for way in ways {
+                let detour = self.legs(robot, &way, step_secs)?;
+                if touching(robot, &detour).is_none() {
+                    return Ok(Some(detour));
+                }
+            }
+        }
+        Err(Failure {
+            refusal: Refusal::new(
+                ErrorCode::Collision,
+                format!(
+                    "on the way from where the arm is to the first point {} would be {:.3} m apart, limit \
+                     {:.3} m; move the arm elsewhere first",
+                    touches.contact, touches.distance_m, robot.clearance_m
+                ),
+            ),
+            stage: 4,
+            excess: robot.clearance_m - touches.distance_m,
+        })
+    }
+
+    /// From rest to rest between these configurations.
+    fn legs(
+        &self,
+        robot: &Robot,
+        way: &[&Vec<f64>],
+        step_secs: f64,
+    ) -> Result<JointTrajectory, Failure> {
+        let mut whole: Option<JointTrajectory> = None;
+        for leg in way.windows(2) {
+            let leg = approach(&robot.chain, leg[0], leg[1], step_secs, self.scales)
+                .map_err(|e| Failure {
+                    refusal: Refusal::new(
+                        ErrorCode::JointLimit,
+                        format!("on the way to the first point: {e}"),
+                    ),
+                    stage: 4,
+                    excess: 1.0,
+                })?
+                .trajectory;
+            whole = Some(match whole {
+                None => leg,
+                Some(mut before) => {
+                    // A leg begins one step after the one before has ended.
+                    let end = before.times_secs.last().copied().unwrap_or_default();
+                    before.times_secs.extend(leg.times_secs.iter().map(|time| end + time));
+                    before.positions.extend(leg.positions);
+                    before.velocities.extend(leg.velocities);
+                    before.accelerations.extend(leg.accelerations);
+                    before
+                }
+            });
+        }
+        Ok(whole.expect("a way has two ends"))
+    }
+
+    /// The smallest distance between what must stay apart at the points (m), NaN where nothing must; it is
+    /// looked at between the points, too, and from the start on.
+    fn check_clearance(&self, robot: &Robot, whole: &JointTrajectory) -> Result<f64, Failure> {
+        match nearest(robot, whole) {
+            None => Ok(f64::NAN),
+            Some((at_points, at_all)) if at_all.distance_m >= robot.clearance_m => Ok(at_points),
+            Some((_, at_all)) => Err(Failure {
                 refusal: Refusal::new(
-                    ErrorCode::StartTooFar,
+                    ErrorCode::Collision,
                     format!(
-                        "{} stands {difference:.3} rad from the first point of the motion \
-                         ({:.3} rad), limit {:.3} rad; move the arm there first, or leave start \
-                         empty",
-                        robot.chain.joints()[joint].name,
-                        first[joint],
-                        self.start_tolerance_rad
+                        "{} would be {:.3} m apart, limit {:.3} m; try another task, or another way in",
+                        at_all.contact, at_all.distance_m, robot.clearance_m
                     ),
                 ),
-                stage: 1,
-                excess: difference,
+                stage: 4,
+                excess: robot.clearance_m - at_all.distance_m,
             }),
-            _ => Ok(()),
         }
     }
 
@@ -302,6 +426,93 @@ impl Order {
     }
 }
 
+/// How long a motion takes to gather its speed at the start, and to lose it at the end (s).
+fn end_times(model: &ServedModel, motion: &Motion) -> [f64; 2] {
+    let (steps, step_secs) = (motion.states.steps(), motion.step_secs());
+    [[0, 1], [steps - 2, steps - 1]].map(|pair| {
+        let [a, b] = pair.map(|t| model.frame.pose(&motion.states.state(t)));
+        let speed = (b.translation.vector - a.translation.vector).norm() / step_secs;
+        let turning = a.rotation.angle_to(&b.rotation) / step_secs;
+        let needed = (speed / EASE_M_PER_S2).max(turning / EASE_RAD_PER_S2);
+        needed.min(MOST_EASE * motion.duration_secs)
+    })
+}
+
+/// Where an arm is whose tip is higher by so much (m), reached without a jump; nothing where it can't be.
+fn lifted(robot: &Robot, q: &[f64], height_m: f64) -> Option<Vec<f64>> {
+    const STEPS: usize = 10;
+    const STEP_SECS: f64 = 0.2;
+    let tip = robot.chain.forward(q);
+    let poses: Vec<_> = (0..=STEPS)
+        .map(|i| {
+            let mut pose = tip;
+            pose.translation.z += height_m * i as f64 / STEPS as f64;
+            pose
+        })
+        .collect();
+    let options = FollowOptions { start: Some(q.to_vec()), starts: 1, ..FollowOptions::default() };
+    let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
+    let followed = follow(&robot.chain, &poses, STEP_SECS, &options, &mut rng).ok()?;
+    let near = followed.positions[0].iter().zip(q).all(|(a, b)| (a - b).abs() < 0.05);
+    near.then(|| followed.positions[STEPS].clone())
+}
+
+/// What comes nearest to each other along a trajectory: the distance at its points (m), and what it is there
+/// or between them.
+fn nearest(robot: &Robot, trajectory: &JointTrajectory) -> Option<(f64, Nearest)> {
+    let Robot { chain, hull, .. } = robot;
+    let at_points = hull.nearest_of(chain, trajectory.positions.iter().map(Vec::as_slice))?;
+    let between: Vec<_> = (1..trajectory.positions.len())
+        .flat_map(|k| {
+            let shares = (1..=BETWEEN).map(|i| i as f64 / (BETWEEN + 1) as f64);
+            shares.map(move |share| trajectory.between(k - 1, share))
+        })
+        .collect();
+    let distance = at_points.distance_m;
+    let all = match hull.nearest_of(chain, between.iter().map(Vec::as_slice)) {
+        Some(between) if between.distance_m < distance => between,
+        _ => at_points,
+    };
+    Some((distance, all))
+}
+
+/// What comes too near along a trajectory.
+fn touching(robot: &Robot, trajectory: &JointTrajectory) -> Option<Nearest> {
+    let (_, nearest) = nearest(robot, trajectory)?;
+    (nearest.distance_m < robot.clearance_m).then_some(nearest)
+}
+
+fn check_start(robot: &Robot, start: &[f64], first: &[f64], tolerance: f64) -> Result<(), Failure> {
+    let differences = start.iter().zip(first).map(|(a, b)| (a - b).abs());
+    let worst = differences.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+    match worst {
+        Some((joint, difference)) if difference > tolerance => Err(Failure {
+            refusal: Refusal::new(
+                ErrorCode::StartTooFar,
+                format!(
+                    "{} stands {difference:.3} rad from the first point of the motion ({:.3} rad), limit \
+                     {tolerance:.3} rad; move the arm there first, or set start.policy to approach",
+                    robot.chain.joints()[joint].name,
+                    first[joint],
+                ),
+            ),
+            stage: 1,
+            excess: difference,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// A joint that leaves its range between two points.
+fn swings(model: &ServedModel, overshoot: &Overshoot) -> Failure {
+    let another = alternatives(model);
+    Failure {
+        refusal: Refusal::new(ErrorCode::JointLimit, format!("{overshoot}; try another {another}")),
+        stage: 1,
+        excess: (overshoot.position - overshoot.limit).abs(),
+    }
+}
+
 /// What else may be asked for where a motion is refused.
 fn alternatives(model: &ServedModel) -> &'static str {
     match model.primitive.manner_space().dim() {
@@ -322,6 +533,7 @@ fn cannot_follow(
         FollowError::Unreachable { point, .. } => (ErrorCode::Unreachable, point),
         FollowError::JointLimit { point, .. } => (ErrorCode::JointLimit, point),
         FollowError::JointJump { point, .. } => (ErrorCode::JointJump, point),
+        FollowError::Collision { point, .. } => (ErrorCode::Collision, point),
         // A decoded trajectory is neither empty nor infinite, and a start has the arm's length.
         _ => (ErrorCode::Internal, 1),
     };

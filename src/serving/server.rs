@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
+use crate::kinematics::timing::Scales;
 use crate::parameters::{MannerParameters, ParameterError, TaskLocation, TaskParameters};
-use crate::serving::motion::{Failure, Order};
+use crate::serving::motion::{Failure, Order, Start};
 use crate::serving::{
     Description, ErrorCode, GivenLocation, MAX_COUNT, MannerMode, OutOfDistribution, RankBy,
-    Refusal, Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings,
+    Refusal, Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings, StartPolicy,
 };
 
 /// A location as it was given, and when.
@@ -34,6 +35,8 @@ pub struct PrimitiveServer {
     manner: MannerParameters,
     /// Which manner parameters an operator has set; the others are at the prior's mean.
     manner_set: Vec<bool>,
+    /// Where each joint was last, and when.
+    joints: Vec<Option<(f64, f64)>>,
     /// Seeds handed out since `settings.seed` was set.
     seeds_drawn: Arc<AtomicU64>,
 }
@@ -57,6 +60,7 @@ impl PrimitiveServer {
             given: vec![None; locations],
             defaults: vec![None; locations],
             settings: settings.checked()?,
+            joints: vec![None; robot.chain.dof()],
             seeds_drawn: Arc::default(),
             model,
             robot,
@@ -122,6 +126,54 @@ impl PrimitiveServer {
             check_finite(name, xy)?;
         }
         self.defaults[index] = xy;
+        Ok(())
+    }
+
+    /// Takes note of where joints are by name (rad, or m), heard at `now_secs` on a clock that never goes back.
+    /// Joints of others may be among them, and the arm's may come in several messages; what is not finite is
+    /// not heard.
+    pub fn set_joint_state<'a>(
+        &mut self,
+        named: impl Iterator<Item = (&'a str, f64)>,
+        now_secs: f64,
+    ) {
+        for (name, position) in named.filter(|(_, position)| position.is_finite()) {
+            let joint = self.robot.chain.joints().iter().position(|joint| joint.name == name);
+            if let Some(joint) = joint {
+                self.joints[joint] = Some((position, now_secs));
+            }
+        }
+    }
+
+    /// Height of the table in the base frame (m), if there is one.
+    pub fn table_height_m(&self) -> Option<f64> {
+        self.robot.hull.table_height_m()
+    }
+
+    /// Changes what must not be touched: the table's height in the base frame (m), none without a table, and the
+    /// distance that is left (m).
+    ///
+    /// # Errors
+    /// [`ErrorCode::BadRequest`] for a number outside its range; then nothing changes.
+    pub fn set_surroundings(
+        &mut self,
+        table_height_m: Option<f64>,
+        clearance_m: f64,
+    ) -> Result<(), Refusal> {
+        if !(0.0..=1.0).contains(&clearance_m) {
+            return Err(bad_request(format!(
+                "collision.clearance_m = {clearance_m} is outside [0, 1]; the old value stays"
+            )));
+        }
+        if let Some(height) = table_height_m.filter(|height| !height.is_finite()) {
+            return Err(bad_request(format!(
+                "collision.table_height_m = {height} is no height; the old value stays"
+            )));
+        }
+        let mut robot = Robot::clone(&self.robot);
+        robot.hull = robot.hull.with_table(table_height_m);
+        robot.clearance_m = clearance_m;
+        self.robot = Arc::new(robot);
         Ok(())
     }
 
@@ -242,7 +294,7 @@ impl PrimitiveServer {
         let fixed = self.fixed_manner(&request.manner_names, &request.manner_values)?;
         let mut warnings = Vec::new();
         let familiarity = self.check_familiar(&w, request, &mut warnings)?;
-        let order = self.order(request, w, familiarity, warnings)?;
+        let order = self.order(request, w, familiarity, warnings, now_secs)?;
         let first_seed = match request.seed {
             0 => self.next_seed(count),
             seed => seed,
@@ -316,7 +368,8 @@ impl PrimitiveServer {
         request: &SampleRequest,
         w: TaskParameters,
         in_distribution_task: f64,
-        warnings: Vec<String>,
+        mut warnings: Vec<String>,
+        now_secs: f64,
     ) -> Result<Order, Refusal> {
         let scale = |name: &str, asked: f64, set: f64| match asked {
             0.0 => Ok(set),
@@ -328,23 +381,20 @@ impl PrimitiveServer {
                 "{name} = {asked} is outside [0.01, 1]; 0 takes the node's setting, {set}"
             ))),
         };
+        let velocity =
+            scale("velocity_scale", request.velocity_scale, self.settings.velocity_scale)?;
+        let acceleration = scale(
+            "acceleration_scale",
+            request.acceleration_scale,
+            self.settings.acceleration_scale,
+        )?;
         Ok(Order {
             w,
             in_distribution_task,
             tolerance_m: self.settings.tolerance_m,
-            velocity_scale: scale(
-                "velocity_scale",
-                request.velocity_scale,
-                self.settings.velocity_scale,
-            )?,
-            acceleration_scale: scale(
-                "acceleration_scale",
-                request.acceleration_scale,
-                self.settings.acceleration_scale,
-            )?,
+            scales: Scales { velocity, acceleration },
             rate_hz: self.rate(request.rate_hz)?,
-            start: self.start(&request.start)?,
-            start_tolerance_rad: self.settings.start_tolerance_rad,
+            start: self.start(&request.start, now_secs, &mut warnings)?,
             warnings,
         })
     }
@@ -371,11 +421,80 @@ impl PrimitiveServer {
         )))
     }
 
-    /// The start as a configuration of the arm.
-    fn start(&self, named: &[(String, f64)]) -> Result<Option<Vec<f64>>, Refusal> {
-        if named.is_empty() {
-            return Ok(None);
+    /// Where the arm is before the motion, as the request says, or else the last joint states; and what the
+    /// policy makes of it.
+    fn start(
+        &self,
+        named: &[(String, f64)],
+        now_secs: f64,
+        warnings: &mut Vec<String>,
+    ) -> Result<Start, Refusal> {
+        let policy = self.settings.start_policy;
+        let positions = match named {
+            [] if policy == StartPolicy::Ignore => return Ok(Start::Anywhere),
+            [] => match self.present(now_secs) {
+                Ok(positions) => positions,
+                Err(refusal) if policy == StartPolicy::Refuse => return Err(refusal),
+                Err(refusal) => {
+                    let why = refusal.message;
+                    warnings.push(format!(
+                        "no joint states: the trajectory starts at its own first point ({why})"
+                    ));
+                    return Ok(Start::Anywhere);
+                }
+            },
+            named => self.positions(named)?,
+        };
+        Ok(match policy {
+            StartPolicy::Approach => Start::Approach(self.inside(positions)?),
+            StartPolicy::Refuse => Start::Near(positions, self.settings.start_tolerance_rad),
+            StartPolicy::Ignore => Start::Anywhere,
+        })
+    }
+
+    /// Positions from which an approach can begin: those a bit outside their limits are pulled inside.
+    fn inside(&self, mut positions: Vec<f64>) -> Result<Vec<f64>, Refusal> {
+        let tolerance = self.settings.start_tolerance_rad;
+        for (joint, position) in self.robot.chain.joints().iter().zip(&mut positions) {
+            let inside = position.clamp(joint.lower, joint.upper);
+            if (*position - inside).abs() > tolerance {
+                return Err(Refusal::new(
+                    ErrorCode::JointLimit,
+                    format!(
+                        "{} stands at {position:.3} rad, {:.3} rad beyond its limit, of which \
+                         start.tolerance_rad allows {tolerance:.3}; bring it back first",
+                        joint.name,
+                        (*position - inside).abs()
+                    ),
+                ));
+            }
+            *position = inside;
         }
+        Ok(positions)
+    }
+
+    /// Where the arm is, by joint states that are not too old.
+    fn present(&self, now_secs: f64) -> Result<Vec<f64>, Refusal> {
+        let stale = |message: String| Err(Refusal::new(ErrorCode::StaleJointState, message));
+        let limit = self.settings.start_max_age_secs;
+        let heard = self.robot.chain.joints().iter().zip(&self.joints);
+        let positions = heard.map(|(joint, heard)| match heard {
+            None => {
+                stale(format!("nothing was heard of {} so far; publish /joint_states", joint.name))
+            }
+            Some((_, at_secs)) if now_secs - at_secs > limit => stale(format!(
+                "what was heard of {} is {:.1} s old, start.max_age_s is {limit:.1} s; publish \
+                 /joint_states",
+                joint.name,
+                now_secs - at_secs
+            )),
+            Some((position, _)) => Ok(*position),
+        });
+        positions.collect()
+    }
+
+    /// Named positions as a configuration of the arm.
+    fn positions(&self, named: &[(String, f64)]) -> Result<Vec<f64>, Refusal> {
         let position = |joint: &String| match named.iter().find(|(name, _)| name == joint) {
             Some((_, position)) if position.is_finite() => Ok(*position),
             Some((_, position)) => Err(Refusal::new(
@@ -386,7 +505,7 @@ impl PrimitiveServer {
                 "start has no position of {joint}; it needs every joint of the arm, or none"
             ))),
         };
-        self.robot.chain.joint_names().iter().map(position).collect::<Result<_, _>>().map(Some)
+        self.robot.chain.joint_names().iter().map(position).collect()
     }
 
     /// The task of a request: its own locations, else the latest, else the defaults.

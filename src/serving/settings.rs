@@ -22,6 +22,18 @@ pub enum OutOfDistribution {
     Warn,
 }
 
+/// What happens where the arm is not at the first point of a motion.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum StartPolicy {
+    /// It is brought there first.
+    #[default]
+    Approach,
+    /// The motion is refused, and so it is where nobody knows where the arm is.
+    Refuse,
+    /// The motion begins at its first point all the same.
+    Ignore,
+}
+
 /// The settings of a server.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
@@ -41,8 +53,12 @@ pub struct Settings {
     pub acceleration_scale: f64,
     /// What happens to a task outside the trained region.
     pub out_of_distribution: OutOfDistribution,
-    /// Largest distance of a joint between the `start` of a request and the first point (rad).
+    /// What happens where the arm is not at the first point.
+    pub start_policy: StartPolicy,
+    /// Largest distance of a joint from the first point that is none (rad).
     pub start_tolerance_rad: f64,
+    /// Oldest joint states that tell where the arm is (s).
+    pub start_max_age_secs: f64,
 }
 
 impl Default for Settings {
@@ -56,7 +72,9 @@ impl Default for Settings {
             velocity_scale: 1.0,
             acceleration_scale: 1.0,
             out_of_distribution: OutOfDistribution::default(),
+            start_policy: StartPolicy::default(),
             start_tolerance_rad: 0.05,
+            start_max_age_secs: 1.0,
         }
     }
 }
@@ -74,6 +92,7 @@ impl Settings {
             ("limits.velocity_scale", self.velocity_scale, 0.01, 1.0),
             ("limits.acceleration_scale", self.acceleration_scale, 0.01, 1.0),
             ("start.tolerance_rad", self.start_tolerance_rad, 0.0, 3.2),
+            ("start.max_age_s", self.start_max_age_secs, 0.01, 3600.0),
         ];
         for (name, value, lower, upper) in ranges {
             if !(lower..=upper).contains(&value) {

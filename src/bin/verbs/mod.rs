@@ -77,6 +77,11 @@ pub(crate) fn write_with(
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
+    if !folder.is_dir() {
+        let (path, folder) = (path.display(), folder.display());
+        let reason = format!("writing {path}: there is no folder {folder}; make it");
+        return Err(UsageError(reason).into());
+    }
     let file = tempfile::NamedTempFile::new_in(folder).map_err(refused)?;
     let mut buffer = BufWriter::new(file);
     content(&mut buffer)?;
@@ -96,8 +101,7 @@ pub(crate) fn server(
     robot: Option<&Path>,
     settings: serving::Settings,
 ) -> anyhow::Result<PrimitiveServer> {
-    let robot = config::robot(robot, urdf::chain)?;
-    let robot = Robot { name: robot.config.name, chain: robot.chain };
+    let robot = config::robot(robot, urdf::arm)?.served();
     let model = Arc::new(artifact.served_model()?);
     Ok(PrimitiveServer::new(model, Arc::new(robot), settings)?)
 }

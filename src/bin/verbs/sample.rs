@@ -182,6 +182,7 @@ fn sample_json(sample: &Sample) -> Value {
         json!({
             "positions": joint_trajectory.positions[i],
             "velocities": joint_trajectory.velocities[i],
+            "accelerations": joint_trajectory.accelerations[i],
             "time_from_start": time,
         })
     });

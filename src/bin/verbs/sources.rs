@@ -28,7 +28,7 @@ use super::recorded::Recorded;
 
 /// The robot of a TOML file, with arms that fit its chain; Baxter without one.
 pub(crate) fn load_robot(path: Option<&Path>) -> anyhow::Result<LoadedRobot> {
-    let robot = config::robot(path, urdf::chain).map_err(usage)?;
+    let robot = config::robot(path, urdf::arm).map_err(usage)?;
     let dof = robot.chain.dof();
     for arm in robot.config.arms() {
         let (joints, signs) = (arm.joints.len(), arm.mirror_signs.as_ref().map_or(dof, Vec::len));
