@@ -10,8 +10,9 @@ use crate::trajectory::{Motion, Trajectory};
 
 /// Shortest segment as a share of the motion, so that no speed is infinite.
 const SHORTEST_SHARE: f64 = 1e-3;
-/// Halvings with which the phase of a time is found: down to the rounding of an f64.
-const HALVINGS: usize = 52;
+/// Steps in which the phase of a time is found at most, and the last one: the rounding of an f64.
+const MOST_STEPS: usize = 60;
+const CLOSE: f64 = 1e-16;
 
 /// How the phase of a motion runs with time.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,22 +64,42 @@ impl Alignment {
         let segments = self.times.len() - 1;
         let at = phase.clamp(0.0, 1.0) * segments as f64;
         let i = (at as usize).min(segments - 1);
-        let u = at - i as f64;
+        self.time_in(i, at - i as f64).0
+    }
+
+    /// The time at a share of a segment's phase, and how it changes with that.
+    fn time_in(&self, i: usize, u: f64) -> (f64, f64) {
+        let segments = (self.times.len() - 1) as f64;
         // Cubic Hermite; slopes are per phase, and a segment is 1 / segments of it.
         let [a, b] = [self.times[i], self.times[i + 1]];
-        let [da, db] = [self.slopes[i], self.slopes[i + 1]].map(|d| d / segments as f64);
+        let [da, db] = [self.slopes[i], self.slopes[i + 1]].map(|d| d / segments);
         let (v, uu) = (1.0 - u, u * u);
-        (1.0 + 2.0 * u) * v * v * a + u * v * v * da + uu * (3.0 - 2.0 * u) * b - uu * v * db
+        let time =
+            (1.0 + 2.0 * u) * v * v * a + u * v * v * da + uu * (3.0 - 2.0 * u) * b - uu * v * db;
+        let slope = 6.0 * u * v * (b - a) + v * (1.0 - 3.0 * u) * da + u * (3.0 * u - 2.0) * db;
+        (time, slope)
     }
 
     /// The aligned phase at a share of the time in [0, 1].
     pub fn phase(&self, time: f64) -> f64 {
+        let segments = self.times.len() - 1;
+        let i = self.times[1..segments].partition_point(|end| *end <= time);
+        // Newton's steps, halving where one would leave what is left of the segment.
         let [mut low, mut high] = [0.0, 1.0];
-        for _ in 0..HALVINGS {
-            let middle = 0.5 * (low + high);
-            *(if self.time(middle) < time { &mut low } else { &mut high }) = middle;
+        let mut u = ((time - self.times[i]) / (self.times[i + 1] - self.times[i])).clamp(0.0, 1.0);
+        for _ in 0..MOST_STEPS {
+            let (there, slope) = self.time_in(i, u);
+            let miss = time - there;
+            *(if miss > 0.0 { &mut low } else { &mut high }) = u;
+            let newton = u + miss / slope;
+            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+            if (next - u).abs() < CLOSE {
+                u = next;
+                break;
+            }
+            u = next;
         }
-        0.5 * (low + high)
+        (i as f64 + u) / segments as f64
     }
 
     /// The states of a motion, which are equally spaced in time, at equally spaced phases.

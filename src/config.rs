@@ -246,6 +246,59 @@ mod tests {
         assert!(error.contains("moves right_s0") && error.contains("as left_s0"), "{error}");
     }
 
+    /// A robot's file beside MoveIt's limits and the Panda's description.
+    fn limited(more: &str, yaml: &str) -> Result<LoadedRobot, ConfigError> {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+        let folder = tempfile::tempdir().unwrap();
+        let text = fs::read_to_string(root.join("robots/panda.toml")).unwrap();
+        let text = text.replace("../panda.urdf", &root.join("panda.urdf").display().to_string());
+        let text = text.replace("[arm]", "joint_limits = \"joint_limits.yaml\"\n\n[arm]") + more;
+        fs::write(folder.path().join("robot.toml"), text).unwrap();
+        fs::write(folder.path().join("joint_limits.yaml"), yaml).unwrap();
+        robot(Some(&folder.path().join("robot.toml")), arm)
+    }
+
+    const YAML: &str = "joint_limits:\n  panda_joint1:\n    has_velocity_limits: true\n    \
+                        max_velocity: 2\n    has_acceleration_limits: true\n    max_acceleration: 3.75\n  \
+                        panda_joint2:\n    has_velocity_limits: false\n    max_velocity: 0.1\n    \
+                        has_jerk_limits: true\n    max_jerk: 500.0\n  panda_finger_joint1:\n    \
+                        has_velocity_limits: false\n";
+
+    #[test]
+    fn limits_come_from_moveits_file_and_the_robots_own_before_them() {
+        let robot = limited("\n[limits.panda_joint1]\nacceleration = 2.0\n", YAML).unwrap();
+        let [first, second, ..] = robot.chain.joints() else { panic!("seven joints") };
+        assert_eq!((first.velocity, first.acceleration, first.jerk), (2.0, Some(2.0), None));
+        assert_eq!((second.velocity, second.acceleration, second.jerk), (2.175, None, Some(500.0)));
+        assert_eq!(robot.served().chain, robot.chain);
+    }
+
+    #[test]
+    fn limits_that_can_not_be_are_refused_with_the_file_and_the_joint() {
+        let refused = |more: &str, yaml: &str, words: &[&str]| {
+            let error = limited(more, yaml).unwrap_err().to_string();
+            assert!(words.iter().all(|word| error.contains(word)), "{error}");
+        };
+        let own = |limit: &str| format!("\n[limits.panda_joint1]\n{limit}\n");
+        refused(&own("velocity = 3.0"), YAML, &["robot.toml", "panda_joint1", "can only be lower"]);
+        refused(&own("jerk = 0.0"), YAML, &["robot.toml", "panda_joint1", "above 0"]);
+        refused("\n[limits.elbow]\njerk = 1.0\n", YAML, &["[limits.elbow]", "no such joint"]);
+        refused("", "limits: {}", &["joint_limits.yaml", "no mapping joint_limits"]);
+        refused("", &YAML.replace("3.75", "fast"), &["panda_joint1", "max_acceleration"]);
+        refused("", &YAML.replace("3.75", "-1"), &["joint_limits.yaml", "above 0"]);
+        refused("", "{", &["joint_limits.yaml"]);
+    }
+
+    #[test]
+    fn shipped_robots_touch_nothing_by_their_build() {
+        for file in ["baxter", "panda"] {
+            let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots");
+            let robot = robot(Some(&root.join(file).with_extension("toml")), arm).unwrap();
+            assert!(robot.hull.parts() > 8 && robot.hull.touching().is_empty(), "{file}");
+            assert!(robot.hull.table_height_m().is_some());
+        }
+    }
+
     #[test]
     fn a_robot_with_one_arm_has_no_other() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/robots/panda.toml");

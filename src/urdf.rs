@@ -276,6 +276,7 @@ fn isometry(origin: &urdf_rs::Pose) -> Isometry3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kinematics::{CollisionRules, PartRule};
 
     /// A robot with one moving joint in each of several branches.
     fn robot(joints: &str) -> String {
@@ -408,5 +409,75 @@ mod tests {
         let acceleration = |xml: &str| chain(xml, "base", "tool").unwrap().joints()[0].acceleration;
         assert_eq!(acceleration(&xml), None);
         assert_eq!(acceleration(&xml.replace("<robot", "<robot version='1.2'")), Some(5.0));
+    }
+
+    /// Two moving links, a tool and a lamp on fixed joints, and a finger on a joint of its own.
+    fn shaped() -> String {
+        let shape = |name: &str, shapes: &str| format!("<link name='{name}'>{shapes}</link>");
+        let collision = |origin: &str, geometry: &str| {
+            format!("<collision>{origin}<geometry>{geometry}</geometry></collision>")
+        };
+        let links = [
+            shape("floor", &collision("", "<box size='0.2 0.6 0.1'/>")),
+            shape("base", ""),
+            shape(
+                "arm",
+                &collision("<origin xyz='0 0 0.1'/>", "<cylinder radius='0.05' length='0.2'/>"),
+            ),
+            shape(
+                "tool",
+                &[
+                    collision("<origin xyz='0 0 0.3'/>", "<sphere radius='0.02'/>"),
+                    collision("", "<mesh filename='package://tool.stl'/>"),
+                ]
+                .concat(),
+            ),
+            shape("finger", &collision("", "<sphere radius='0.01'/>")),
+        ];
+        let offset = |xyz: &str| format!("<origin xyz='{xyz}' rpy='0 1.5707963267948966 0'/>");
+        let joints = [
+            joint("fixed", "floor", "base", "<origin xyz='0 0 1'/>"),
+            joint("revolute", "base", "arm", LIMIT),
+            joint("fixed", "arm", "tool", &offset("0 0 0.5")),
+            joint("revolute", "tool", "finger", LIMIT),
+        ];
+        format!("<robot name='lathe'>{}{}</robot>", links.concat(), joints.concat())
+    }
+
+    #[test]
+    fn shapes_become_capsules_in_the_frames_of_their_bodies() {
+        let arm = arm(&shaped(), "base", "arm").unwrap();
+        let near = |a: Point3<f64>, b: [f64; 3]| (a - Point3::from(b)).norm() < 1e-12;
+        let [floor, cylinder, ball] = arm.parts.as_slice() else { panic!("{:?}", arm.parts) };
+        // The floor is below the base, with its longest edge along y.
+        assert_eq!((floor.link.as_str(), floor.body), ("floor", 0));
+        assert!(near(floor.from, [0.0, -0.3, -1.0]) && near(floor.to, [0.0, 0.3, -1.0]));
+        assert!((floor.radius - 0.1f64.hypot(0.05)).abs() < 1e-12);
+        assert_eq!((cylinder.link.as_str(), cylinder.body, cylinder.radius), ("arm", 1, 0.05));
+        assert!(near(cylinder.from, [0.0, 0.0, 0.0]) && near(cylinder.to, [0.0, 0.0, 0.2]));
+        // The tool hangs on the arm, and its z is the arm's x.
+        assert_eq!((ball.link.as_str(), ball.body), ("tool", 1));
+        assert!(near(ball.from, [0.3, 0.0, 0.5]) && ball.from == ball.to);
+        assert_eq!(arm.unmodelled, ["tool", "finger"]);
+    }
+
+    #[test]
+    fn a_tool_of_the_robots_file_is_a_part_and_an_unknown_link_is_refused() {
+        let arm = arm(&shaped(), "base", "arm").unwrap();
+        let part = |link: &str| PartRule {
+            link: link.into(),
+            from_m: [0.0; 3],
+            to_m: [0.0, 0.0, 0.1],
+            radius_m: 0.01,
+        };
+        let rules = |link: &str| CollisionRules { parts: vec![part(link)], ..Default::default() };
+        assert_eq!(arm.hull(&rules("tool")).unwrap().parts(), 4);
+        let error = arm.hull(&rules("finger")).unwrap_err().to_string();
+        assert!(error.contains("\"finger\"") && error.contains("base, arm"), "{error}");
+        let ignore = vec![["arm".to_owned(), "moon".to_owned()]];
+        assert!(arm.hull(&CollisionRules { ignore, ..Default::default() }).is_err());
+        for clearance_m in [-0.1, f64::NAN, 2.0] {
+            assert!(arm.hull(&CollisionRules { clearance_m, ..Default::default() }).is_err());
+        }
     }
 }

@@ -11,7 +11,8 @@ use clap::{Parser, Subcommand};
 #[cfg(all(feature = "ros", feature = "bag"))]
 use verbs::record;
 use verbs::{
-    ExitStatus, evaluate, export, inspect, print_json, report, sample, simulate, sweep, train,
+    ExitStatus, check, evaluate, export, inspect, print_json, report, sample, simulate, sweep,
+    train,
 };
 
 /// Learns movement primitives from demonstrations, and measures them.
@@ -36,6 +37,8 @@ enum Verb {
     Sweep(sweep::SweepArgs),
     /// Sample checked motions of a model
     Sample(sample::SampleArgs),
+    /// Ask for motions over the whole trained region, and tell what is served
+    Check(check::CheckArgs),
     /// Measure a model on data that it was not trained on
     Evaluate(evaluate::EvaluateArgs),
     /// Make tables and figures from trained models
@@ -56,6 +59,7 @@ impl Verb {
             Self::Train(args) => args.json,
             Self::Sweep(args) => args.json,
             Self::Sample(args) => args.json,
+            Self::Check(args) => args.json,
             Self::Evaluate(args) => args.json,
             Self::Report(args) => args.json,
             Self::Inspect(args) => args.json,
@@ -71,6 +75,7 @@ impl Verb {
             Self::Train(args) => train::run(args),
             Self::Sweep(args) => sweep::run(args),
             Self::Sample(args) => sample::run(args),
+            Self::Check(args) => check::run(args),
             Self::Evaluate(args) => evaluate::run(args),
             Self::Report(args) => report::run(args),
             Self::Inspect(args) => inspect::run(args),

@@ -1,8 +1,10 @@
 //! The chain of joints from the base to the tip.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
+use rand::{Rng, RngExt};
 
 use super::JointLimits;
 use super::forward::Link;
@@ -225,6 +227,15 @@ impl Chain {
         self.joints.iter().map(Joint::middle).collect()
     }
 
+    /// A configuration drawn evenly from inside the limits; from a full turn for a joint without.
+    pub fn draw<R: Rng + ?Sized>(&self, rng: &mut R) -> Vec<f64> {
+        let draw = |joint: &Joint| {
+            let half_range = (0.5 * (joint.upper - joint.lower)).min(PI);
+            joint.middle() + rng.random_range(-half_range..=half_range)
+        };
+        self.joints.iter().map(draw).collect()
+    }
+
     /// Whether every value of `q` is inside its joint's limits; false for NaN.
     ///
     /// # Panics
@@ -285,7 +296,7 @@ fn is_finite(transform: &Isometry3<f64>) -> bool {
 fn z_to(axis: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), axis).unwrap_or_else(|| {
         // Opposite to z: any half turn across it.
-        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI)
     })
 }
 

@@ -169,13 +169,28 @@ impl Hull {
         chain: &Chain,
         configurations: impl Iterator<Item = &'a [f64]>,
     ) -> Option<Nearest> {
+        self.nearest_within(chain, configurations, f64::INFINITY)
+    }
+
+    /// What is nearest to each other at any of these configurations, where that is nearer than `within_m`. It
+    /// takes the less time the smaller that is.
+    ///
+    /// # Panics
+    /// When a configuration has not one value per joint.
+    pub fn nearest_within<'a>(
+        &self,
+        chain: &Chain,
+        configurations: impl Iterator<Item = &'a [f64]>,
+        within_m: f64,
+    ) -> Option<Nearest> {
         let mut posed = Posed::new(self);
-        let at = |q: &'a [f64]| {
+        let mut nearest: Option<(f64, Who)> = None;
+        for q in configurations {
             chain.assert_dof(q);
-            posed.nearest(self, chain, q)
-        };
-        let (distance_m, who) = configurations.filter_map(at).min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(Nearest { distance_m, contact: self.contact(who) })
+            let within_m = nearest.map_or(within_m, |(distance, _)| distance);
+            nearest = posed.nearest(self, chain, q, within_m).or(nearest);
+        }
+        nearest.map(|(distance_m, who)| Nearest { distance_m, contact: self.contact(who) })
     }
 
     pub(super) fn contact(&self, (a, b): Who) -> Contact {
@@ -195,45 +210,58 @@ pub(super) type Who = (usize, Option<usize>);
 pub(super) struct Posed {
     bodies: Vec<Frame>,
     ends: Vec<[Vector3<f64>; 2]>,
+    /// Twice the middle of each part, and the radius of the ball around it.
+    balls: Vec<(Vector3<f64>, f64)>,
 }
 
 impl Posed {
     pub(super) fn new(hull: &Hull) -> Self {
+        let ball = |part: &Capsule| 0.5 * (part.to - part.from).norm() + part.radius;
+        let twice_middle = |part: &Capsule| part.from.coords + part.to.coords;
         Self {
             bodies: Vec::new(),
             ends: hull.parts.iter().map(|part| [part.from.coords, part.to.coords]).collect(),
+            balls: hull.parts.iter().map(|part| (twice_middle(part), ball(part))).collect(),
         }
     }
 
     fn move_to(&mut self, hull: &Hull, chain: &Chain, q: &[f64]) {
         chain.bodies(q, &mut self.bodies);
-        for (ends, part) in self.ends.iter_mut().zip(&hull.parts) {
+        let posed = self.ends.iter_mut().zip(&mut self.balls);
+        for ((ends, ball), part) in posed.zip(&hull.parts) {
             if part.body > 0 {
                 let Frame { rotation, position } = &self.bodies[part.body - 1];
                 *ends = [&part.from, &part.to].map(|end| rotation * end.coords + position);
+                ball.0 = ends[0] + ends[1];
             }
         }
     }
 
-    /// The smallest distance at `q` (m), and of what.
-    pub(super) fn nearest(&mut self, hull: &Hull, chain: &Chain, q: &[f64]) -> Option<(f64, Who)> {
-        if hull.parts.is_empty() {
-            return None;
-        }
+    /// The smallest distance at `q` (m), and of what, where it is below `within`.
+    pub(super) fn nearest(
+        &mut self,
+        hull: &Hull,
+        chain: &Chain,
+        q: &[f64],
+        within: f64,
+    ) -> Option<(f64, Who)> {
         self.move_to(hull, chain, q);
-        let mut nearest: Option<(f64, Who)> = None;
-        let mut meet = |distance: f64, who| {
-            if nearest.is_none_or(|(least, _)| distance < least) {
-                nearest = Some((distance, who));
-            }
-        };
+        let (mut nearest, mut within) = (None, within);
         for &(a, b) in &hull.pairs {
-            meet(self.distance(hull, a, b), (a, Some(b)));
+            let ((twice_a, ball_a), (twice_b, ball_b)) = (self.balls[a], self.balls[b]);
+            let reach = 2.0 * (ball_a + ball_b + within).max(0.0);
+            if (twice_a - twice_b).norm_squared() < reach * reach {
+                let distance = self.distance(hull, a, b);
+                if distance < within {
+                    (nearest, within) = (Some((distance, (a, Some(b)))), distance);
+                }
+            }
         }
         if let Some(table) = hull.table_height_m {
             for (i, (part, [from, to])) in hull.parts.iter().zip(&self.ends).enumerate() {
-                if part.body >= STANDING_BODIES {
-                    meet(from.z.min(to.z) - part.radius - table, (i, None));
+                let distance = from.z.min(to.z) - part.radius - table;
+                if part.body >= STANDING_BODIES && distance < within {
+                    (nearest, within) = (Some((distance, (i, None))), distance);
                 }
             }
         }
@@ -349,6 +377,25 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn what_is_passed_over_is_further_away(
+            q in prop::array::uniform3(-3.0..3.0f64), within in -0.1..0.5f64,
+        ) {
+            let hull = arm(&[], Some(-0.2));
+            let chain = planar();
+            let nearest = hull.nearest(&chain, &q).unwrap();
+            let all = hull.pairs.iter().map(|&(a, b)| {
+                let mut posed = Posed::new(&hull);
+                posed.move_to(&hull, &chain, &q);
+                posed.distance(&hull, a, b)
+            });
+            // In the plane the table is 0.15 m below every link.
+            let least = all.fold(0.15, f64::min);
+            prop_assert!((nearest.distance_m - least).abs() < 1e-12);
+            let found = hull.nearest_within(&chain, std::iter::once(&q[..]), within);
+            prop_assert_eq!(found, (least < within).then_some(nearest));
+        }
+
         #[test]
         fn no_two_points_of_segments_are_nearer_than_their_distance(
             p in prop::array::uniform2(point()), q in prop::array::uniform2(point()), flat in 0..4u8,

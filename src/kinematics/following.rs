@@ -53,6 +53,9 @@ pub struct FollowOptions<'a> {
     /// The configuration to begin near to, such as where the arm is. When its path is complete, it
     /// is taken; otherwise the search goes on as without.
     pub start: Option<Vec<f64>>,
+    /// How far inside its limits each joint is kept (rad, or m), so that it does not swing beyond them between
+    /// two points; no further than a tenth of its range.
+    pub limit_margin: f64,
     /// Start configurations for the first point: the middle of the joints' ranges, then random
     /// ones. At least one is tried.
     pub starts: usize,
@@ -66,6 +69,8 @@ pub struct FollowOptions<'a> {
     pub centring_secs: f64,
     /// Largest slowdown that makes a motion legal; counts as the next power of two.
     pub max_slowdown: f64,
+    /// Whether it is worked out why a path can't be followed, which takes longer than the search.
+    pub diagnose: bool,
 }
 
 impl Default for FollowOptions<'_> {
@@ -75,11 +80,13 @@ impl Default for FollowOptions<'_> {
             clearance_m: 0.01,
             tolerance: Tolerance::default(),
             start: None,
+            limit_margin: 0.0,
             starts: 64,
             further_starts: 8,
             good_margin_rad: 0.1,
             centring_secs: 1.0,
             max_slowdown: 8.0,
+            diagnose: true,
         }
     }
 }
@@ -138,7 +145,7 @@ pub enum FollowError {
         time_secs: f64,
         /// The joint furthest beyond its limit.
         joint: String,
-        /// The limit (rad, or m).
+        /// The limit less the margin that is kept to it (rad, or m).
         limit: f64,
         /// How far beyond it (rad, or m).
         excess_rad: f64,
@@ -182,6 +189,20 @@ pub enum FollowError {
         distance_m: f64,
         /// Smallest distance that must be left (m).
         limit_m: f64,
+    },
+    /// No way was found, and nobody asked why.
+    #[error(
+        "no way past point {point} of {points} (t = {time_secs:.1} s) was found from {starts} starts"
+    )]
+    GaveUp {
+        /// The first point that no attempt reached, from 1.
+        point: usize,
+        /// Number of points.
+        points: usize,
+        /// Time of the point (s).
+        time_secs: f64,
+        /// Start configurations that were tried.
+        starts: usize,
     },
     /// The path is empty.
     #[error("the path has no points; it needs at least 1")]
@@ -240,7 +261,8 @@ pub fn follow<R: Rng + ?Sized>(
     follower.search(rng);
     match follower.best {
         Some(best) => Ok(best.followed(chain.dof())),
-        None => Err(follower.diagnosis(rng)),
+        None if options.diagnose => Err(follower.diagnosis(rng)),
+        None => Err(follower.gave_up()),
     }
 }
 
@@ -393,7 +415,7 @@ impl<'a> Follower<'a> {
             bounds: chain.joints().iter().map(bound).collect(),
             halvings: options.max_slowdown.clamp(1.0, 1024.0).log2().ceil() as u32,
             pull: 1.0 - (-step_secs / options.centring_secs).exp(),
-            solver: Solver::new(chain),
+            solver: Solver::inside(chain, options.limit_margin),
             posed: options.hull.map(|hull| (hull, Posed::new(hull))),
             before: vec![0.0; chain.dof()],
             starts: Vec::new(),
@@ -487,8 +509,9 @@ impl<'a> Follower<'a> {
     /// What comes too near to what where the solver stands.
     fn touches(&mut self) -> Option<Obstacle> {
         let (hull, posed) = self.posed.as_mut()?;
-        let (distance, who) = posed.nearest(hull, self.chain, &self.solver.q)?;
-        (distance < self.options.clearance_m).then_some(Obstacle::Touches(distance, who))
+        let within = self.options.clearance_m;
+        let (distance, who) = posed.nearest(hull, self.chain, &self.solver.q, within)?;
+        Some(Obstacle::Touches(distance, who))
     }
 
     /// Goes from one pose to the next without a jump.
@@ -548,6 +571,16 @@ impl<'a> Follower<'a> {
     fn fail(&mut self, index: usize, obstacle: Obstacle) {
         if self.furthest.as_ref().is_none_or(|f| index > f.index) {
             self.furthest = Some(Failure { index, obstacle, q: self.solver.q.clone() });
+        }
+    }
+
+    fn gave_up(&self) -> FollowError {
+        let index = self.furthest.as_ref().map_or(0, |failure| failure.index);
+        FollowError::GaveUp {
+            point: index + 1,
+            points: self.path.len(),
+            time_secs: self.time_secs(index),
+            starts: self.options.starts,
         }
     }
 
@@ -660,9 +693,10 @@ impl<'a> Follower<'a> {
                 JointKind::Revolute => value - TAU * ((value - limits.middle()) / TAU).round(),
                 JointKind::Continuous | JointKind::Prismatic => value,
             };
-            let excess = -limits.margin(value);
+            let (lower, upper) = (self.solver.lower[joint], self.solver.upper[joint]);
+            let excess = (value - upper).max(lower - value);
             if excess > 0.0 && furthest.is_none_or(|f| excess > f.excess) {
-                let limit = if value > limits.upper { limits.upper } else { limits.lower };
+                let limit = if value > upper { upper } else { lower };
                 furthest = Some(Beyond { joint, limit, excess });
             }
         }

@@ -8,7 +8,7 @@
 //! descent that stalls begins again elsewhere.
 
 use nalgebra::{Cholesky, Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
-use rand::{Rng, RngExt};
+use rand::Rng;
 
 use super::chain::Chain;
 use super::forward::Frame;
@@ -180,8 +180,8 @@ pub(super) fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
 pub(super) struct Solver<'a> {
     chain: &'a Chain,
     pub(super) q: Vec<f64>,
-    lower: Vec<f64>,
-    upper: Vec<f64>,
+    pub(super) lower: Vec<f64>,
+    pub(super) upper: Vec<f64>,
     middle: Vec<f64>,
     half_range: Vec<f64>,
     columns: Vec<Vector6<f64>>,
@@ -210,6 +210,17 @@ impl<'a> Solver<'a> {
         solver
     }
 
+    /// A solver that keeps each joint so far inside its limits, but no further than a tenth of its range.
+    pub(super) fn inside(chain: &'a Chain, margin: f64) -> Self {
+        let mut solver = Self::new(chain);
+        for joint in 0..chain.dof() {
+            let margin = margin.min(0.2 * solver.half_range[joint]);
+            solver.lower[joint] += margin;
+            solver.upper[joint] -= margin;
+        }
+        solver
+    }
+
     /// A solver for which no joint has limits.
     pub(super) fn without_limits(chain: &'a Chain) -> Self {
         let mut solver = Self::new(chain);
@@ -229,12 +240,8 @@ impl<'a> Solver<'a> {
     /// Stands at a configuration drawn evenly from inside the chain's limits; from a full turn
     /// for a joint without.
     pub(super) fn start_anywhere<R: Rng + ?Sized>(&mut self, rng: &mut R) {
-        for joint in 0..self.q.len() {
-            let half_range = self.half_range[joint].min(std::f64::consts::PI);
-            let offset = rng.random_range(-half_range..=half_range);
-            self.q[joint] = self.middle[joint] + offset;
-        }
-        self.evaluate();
+        let drawn = self.chain.draw(rng);
+        self.start(&drawn);
     }
 
     fn evaluate(&mut self) {

@@ -5,11 +5,13 @@ mod motions;
 mod page;
 mod panels;
 mod recordings;
+mod requests;
 
 pub use motions::{PlottedLocation, PlottedMotion, motions_svg};
 pub use page::{Block, Page};
 pub use panels::{Curve, Panel, Plane, Points, locations_svg, paths_svg, tilts_svg};
 pub use recordings::{PlottedRecording, PlottedTask, recordings_svg, tasks_svg};
+pub use requests::{Asked, Outcome, requests_svg};
 
 use std::fmt::Display;
 

@@ -9,6 +9,7 @@ use rand::rngs::ChaCha8Rng;
 
 use crate::demonstrations::TaskMeasureError;
 use crate::kinematics::following::{FollowError, FollowOptions, follow};
+use crate::kinematics::inverse::{InverseOptions, solve};
 use crate::kinematics::timing::{Overshoot, Scales, Timed, approach, eased, time};
 use crate::kinematics::{Chain, Nearest};
 use crate::parameters::{MannerParameters, TaskParameters};
@@ -31,8 +32,18 @@ const MOST_EASE: f64 = 0.1;
 const BETWEEN: usize = 3;
 /// Heights by which an approach is led over what is in the way (m).
 const DETOURS_M: [f64; 3] = [0.1, 0.2, 0.3];
+/// Configurations that are drawn for a way around, and how many of them are tried.
+const DETOUR_DRAWS: usize = 300;
+const MOST_DETOURS: usize = 60;
 /// Where an arm that is nearer to the first point than this begins (rad or m), it needs no approach.
 const THERE: f64 = 1e-3;
+/// How far inside its limits each joint is kept at the points (rad or m), so that it is inside between them.
+const LIMIT_MARGIN: f64 = 0.01;
+/// Start configurations of a quick look for a way, and those after the first way that was found.
+const QUICK_STARTS: usize = 8;
+const QUICK_FURTHER_STARTS: usize = 2;
+/// Configurations of one pose that are looked at before it counts as one that can't be taken.
+const FEASIBLE_STARTS: usize = 50;
 /// Seed of the inverse kinematics' start configurations. It is fixed, so that one task in one
 /// manner is always the same motion.
 const START_SEED: u64 = 1;
@@ -69,6 +80,15 @@ impl Start {
     }
 }
 
+/// How hard a way is looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Effort {
+    /// Where there are others to try.
+    Quick,
+    /// With all starts; and where there is no way, it is found out why.
+    Thorough,
+}
+
 /// A try that may not leave.
 #[derive(Debug)]
 pub(super) struct Failure {
@@ -80,10 +100,15 @@ pub(super) struct Failure {
 }
 
 impl Failure {
+    /// How near it came: how many stages it passed, and by how little it failed the next.
+    pub(super) fn nearness(&self) -> (u8, f64) {
+        (self.stage, -self.excess)
+    }
+
     /// The one that came nearer to passing.
     pub(super) fn nearer(best: Option<Self>, other: Self) -> Self {
         match best {
-            Some(best) if (best.stage, -best.excess) >= (other.stage, -other.excess) => best,
+            Some(best) if best.nearness() >= other.nearness() => best,
             _ => other,
         }
     }
@@ -107,25 +132,20 @@ impl Order {
         model: &ServedModel,
         robot: &Robot,
         h: &MannerParameters,
+        effort: Effort,
     ) -> Result<Sample, Failure> {
         let mut warnings = self.warnings.clone();
         let generated = self.aimed(model, h, &mut warnings);
         let stddev = generated.stddev.clone();
         let decoded = generated.motion(model.duration_secs);
-        let ends = end_times(model, &decoded);
-        let ease = |points: usize| {
-            let (shares, duration_secs) = eased(decoded.duration_secs, ends[0], ends[1], points);
-            let shares: Vec<_> = shares.collect();
-            let states = decoded.states.at(shares.iter().copied());
-            (Motion { states, duration_secs }, shares)
-        };
-        let (mut motion, mut shares) = ease(decoded.states.steps());
-        let mut executed = self.executed(model, robot, &motion)?;
+        let (mut motion, mut shares) = at_rest(model, &decoded, decoded.states.steps());
+        let mut executed = self.executed(model, robot, &motion, effort)?;
         if let Some(rate_hz) = self.rate_hz {
             // The rate counts in the time that the motion takes once it is slowed down.
             let duration = motion.duration_secs * executed.timed.slowdown;
-            (motion, shares) = ease((duration * rate_hz).round().max(1.0) as usize + 1);
-            executed = self.executed(model, robot, &motion)?;
+            let points = (duration * rate_hz).round().max(1.0) as usize + 1;
+            (motion, shares) = at_rest(model, &decoded, points);
+            executed = self.executed(model, robot, &motion, effort)?;
         }
         let empirical = self.check_task(model, &executed)?;
         self.check_validity(model, &executed)?;
@@ -167,6 +187,32 @@ impl Order {
             seed: 0,
             tries: 0,
             warnings,
+        })
+    }
+
+    /// Whether each pose of the motion has a configuration, on its own, that may be taken.
+    pub(super) fn could_be_followed(
+        &self,
+        model: &ServedModel,
+        robot: &Robot,
+        h: &MannerParameters,
+    ) -> bool {
+        let decoded = self.aimed(model, h, &mut Vec::new()).motion(model.duration_secs);
+        let (motion, _) = at_rest(model, &decoded, decoded.states.steps());
+        let chain = &robot.chain;
+        let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
+        let mut seed = chain.middle();
+        model.frame.poses(&motion.states).iter().all(|pose| {
+            (0..FEASIBLE_STARTS).any(|_| {
+                let found = solve(chain, pose, &seed, &InverseOptions::default(), &mut rng);
+                let Ok(found) = found else { return false };
+                let clear = is_clear(robot, &found.positions);
+                seed = match clear {
+                    true => found.positions,
+                    false => chain.draw(&mut rng),
+                };
+                clear
+            })
         })
     }
 
@@ -219,6 +265,7 @@ impl Order {
         model: &ServedModel,
         robot: &Robot,
         motion: &Motion,
+        effort: Effort,
     ) -> Result<Executed, Failure> {
         let chain = &robot.chain;
         let step_secs = motion.step_secs();
@@ -227,7 +274,16 @@ impl Order {
             hull: Some(&robot.hull),
             clearance_m: robot.clearance_m,
             start: self.start.positions().cloned(),
-            ..FollowOptions::default()
+            limit_margin: LIMIT_MARGIN,
+            ..match effort {
+                Effort::Quick => FollowOptions {
+                    starts: QUICK_STARTS,
+                    further_starts: QUICK_FURTHER_STARTS,
+                    diagnose: false,
+                    ..FollowOptions::default()
+                },
+                Effort::Thorough => FollowOptions::default(),
+            }
         };
         let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
         let followed = follow(chain, &wished, step_secs, &options, &mut rng)
@@ -279,21 +335,12 @@ impl Order {
         }
         let step_secs = primitive.times_secs[0];
         let direct = self.legs(robot, &[from, to], step_secs)?;
-        let touches = match touching(robot, &direct) {
-            None => return Ok(Some(direct)),
-            Some(nearest) => nearest,
-        };
-        // Over it: from above the first point, or also up from where the arm is.
-        for height in DETOURS_M {
-            let Some(above) = lifted(robot, to, height) else { continue };
-            let mut ways = vec![vec![from, &above, to]];
-            let risen = lifted(robot, from, height);
-            if let Some(risen) = &risen {
-                ways.push(vec![from, risen, &above, to]);
-            }
-            for way in ways {
+        let Some(touches) = touching(robot, Some(from), &direct) else { return Ok(Some(direct)) };
+        if is_clear(robot, from) {
+            for between in detours(robot, from, to) {
+                let way: Vec<_> = [from].into_iter().chain(&between).chain([to]).collect();
                 let detour = self.legs(robot, &way, step_secs)?;
-                if touching(robot, &detour).is_none() {
+                if touching(robot, Some(from), &detour).is_none() {
                     return Ok(Some(detour));
                 }
             }
@@ -350,21 +397,22 @@ impl Order {
     /// The smallest distance between what must stay apart at the points (m), NaN where nothing must; it is
     /// looked at between the points, too, and from the start on.
     fn check_clearance(&self, robot: &Robot, whole: &JointTrajectory) -> Result<f64, Failure> {
-        match nearest(robot, whole) {
-            None => Ok(f64::NAN),
-            Some((at_points, at_all)) if at_all.distance_m >= robot.clearance_m => Ok(at_points),
-            Some((_, at_all)) => Err(Failure {
+        if let Some(nearest) = touching(robot, None, whole) {
+            return Err(Failure {
                 refusal: Refusal::new(
                     ErrorCode::Collision,
                     format!(
                         "{} would be {:.3} m apart, limit {:.3} m; try another task, or another way in",
-                        at_all.contact, at_all.distance_m, robot.clearance_m
+                        nearest.contact, nearest.distance_m, robot.clearance_m
                     ),
                 ),
                 stage: 4,
-                excess: robot.clearance_m - at_all.distance_m,
-            }),
+                excess: robot.clearance_m - nearest.distance_m,
+            });
         }
+        let points = whole.positions.iter().map(Vec::as_slice);
+        let nearest = robot.hull.nearest_of(&robot.chain, points);
+        Ok(nearest.map_or(f64::NAN, |nearest| nearest.distance_m))
     }
 
     /// `G` of the motion as executed, if it is within tolerance of the task.
@@ -426,6 +474,15 @@ impl Order {
     }
 }
 
+/// A motion in so many points whose ends are at rest, and the shares of the decoded one at which they are.
+fn at_rest(model: &ServedModel, decoded: &Motion, points: usize) -> (Motion, Vec<f64>) {
+    let [start, end] = end_times(model, decoded);
+    let (shares, duration_secs) = eased(decoded.duration_secs, start, end, points);
+    let shares: Vec<_> = shares.collect();
+    let states = decoded.states.at(shares.iter().copied());
+    (Motion { states, duration_secs }, shares)
+}
+
 /// How long a motion takes to gather its speed at the start, and to lose it at the end (s).
 fn end_times(model: &ServedModel, motion: &Motion) -> [f64; 2] {
     let (steps, step_secs) = (motion.states.steps(), motion.step_secs());
@@ -457,29 +514,61 @@ fn lifted(robot: &Robot, q: &[f64], height_m: f64) -> Option<Vec<f64>> {
     near.then(|| followed.positions[STEPS].clone())
 }
 
-/// What comes nearest to each other along a trajectory: the distance at its points (m), and what it is there
-/// or between them.
-fn nearest(robot: &Robot, trajectory: &JointTrajectory) -> Option<(f64, Nearest)> {
-    let Robot { chain, hull, .. } = robot;
-    let at_points = hull.nearest_of(chain, trajectory.positions.iter().map(Vec::as_slice))?;
-    let between: Vec<_> = (1..trajectory.positions.len())
-        .flat_map(|k| {
-            let shares = (1..=BETWEEN).map(|i| i as f64 / (BETWEEN + 1) as f64);
-            shares.map(move |share| trajectory.between(k - 1, share))
-        })
-        .collect();
-    let distance = at_points.distance_m;
-    let all = match hull.nearest_of(chain, between.iter().map(Vec::as_slice)) {
-        Some(between) if between.distance_m < distance => between,
-        _ => at_points,
-    };
-    Some((distance, all))
+/// Configurations to go by on the way from one to another, the likelier ones first: up and over, and then any,
+/// by the time that they cost.
+fn detours<'a>(
+    robot: &'a Robot,
+    from: &'a [f64],
+    to: &'a [f64],
+) -> impl Iterator<Item = Vec<Vec<f64>>> + 'a {
+    let over = DETOURS_M.into_iter().flat_map(move |height| {
+        let above = lifted(robot, to, height);
+        let risen = lifted(robot, from, height);
+        let both = risen.zip(above.clone()).map(|(risen, above)| vec![risen, above]);
+        above.map(|above| vec![above]).into_iter().chain(both)
+    });
+    let around = std::iter::once(()).flat_map(move |()| {
+        let joints = robot.chain.joints();
+        let secs = |a: &[f64], b: &[f64]| {
+            let pairs = a.iter().zip(b).zip(joints);
+            pairs.map(|((a, b), joint)| (a - b).abs() / joint.velocity).fold(0.0, f64::max)
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
+        let drawn = (0..DETOUR_DRAWS).map(|_| robot.chain.draw(&mut rng));
+        let mut drawn: Vec<_> = drawn.filter(|q| is_clear(robot, q)).collect();
+        drawn.sort_by(|a, b| {
+            let [a, b] = [a, b].map(|q| secs(from, q) + secs(q, to));
+            a.total_cmp(&b)
+        });
+        drawn.truncate(MOST_DETOURS);
+        drawn.into_iter().map(|q| vec![q])
+    });
+    over.chain(around)
 }
 
-/// What comes too near along a trajectory.
-fn touching(robot: &Robot, trajectory: &JointTrajectory) -> Option<Nearest> {
-    let (_, nearest) = nearest(robot, trajectory)?;
-    (nearest.distance_m < robot.clearance_m).then_some(nearest)
+fn is_clear(robot: &Robot, q: &[f64]) -> bool {
+    robot.hull.nearest_within(&robot.chain, std::iter::once(q), robot.clearance_m).is_none()
+}
+
+/// What comes too near along a trajectory, at its points or between them, or on the way from its start.
+fn touching(
+    robot: &Robot,
+    start: Option<&Vec<f64>>,
+    trajectory: &JointTrajectory,
+) -> Option<Nearest> {
+    let Robot { chain, hull, clearance_m, .. } = robot;
+    let share = |i: usize| i as f64 / (BETWEEN + 1) as f64;
+    let first = &trajectory.positions[0];
+    let mut between: Vec<Vec<f64>> = Vec::new();
+    if let Some(start) = start {
+        let at = |i| start.iter().zip(first).map(|(a, b)| a + share(i) * (b - a)).collect();
+        between.extend((0..=BETWEEN).map(at));
+    }
+    for k in 1..trajectory.positions.len() {
+        between.extend((1..=BETWEEN).map(|i| trajectory.between(k - 1, share(i))));
+    }
+    let all = trajectory.positions.iter().chain(&between).map(Vec::as_slice);
+    hull.nearest_within(chain, all, *clearance_m)
 }
 
 fn check_start(robot: &Robot, start: &[f64], first: &[f64], tolerance: f64) -> Result<(), Failure> {
@@ -530,7 +619,9 @@ fn cannot_follow(
     error: &FollowError,
 ) -> Failure {
     let (code, point) = match *error {
-        FollowError::Unreachable { point, .. } => (ErrorCode::Unreachable, point),
+        FollowError::Unreachable { point, .. } | FollowError::GaveUp { point, .. } => {
+            (ErrorCode::Unreachable, point)
+        }
         FollowError::JointLimit { point, .. } => (ErrorCode::JointLimit, point),
         FollowError::JointJump { point, .. } => (ErrorCode::JointJump, point),
         FollowError::Collision { point, .. } => (ErrorCode::Collision, point),
@@ -538,7 +629,7 @@ fn cannot_follow(
         _ => (ErrorCode::Internal, 1),
     };
     let hint = match code {
-        ErrorCode::Unreachable => {
+        ErrorCode::Unreachable if !matches!(error, FollowError::GaveUp { .. }) => {
             format!("; {}", where_to_move(model, chain, w, wished[point - 1]))
         }
         _ => String::new(),

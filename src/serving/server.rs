@@ -3,17 +3,24 @@
 use std::cmp::Ordering;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::thread;
 
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
 use crate::kinematics::timing::Scales;
 use crate::parameters::{MannerParameters, ParameterError, TaskLocation, TaskParameters};
-use crate::serving::motion::{Failure, Order, Start};
+use crate::serving::motion::{Effort, Failure, Order, Start};
 use crate::serving::{
     Description, ErrorCode, GivenLocation, MAX_COUNT, MannerMode, OutOfDistribution, RankBy,
     Refusal, Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings, StartPolicy,
 };
+
+/// Draws whose ways are looked for thoroughly when none was found quickly.
+const MOST_THOROUGH: usize = 5;
+
+/// Most threads that one request is answered on.
+const MOST_THREADS: usize = 8;
 
 /// A location as it was given, and when.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -299,53 +306,63 @@ impl PrimitiveServer {
             0 => self.next_seed(count),
             seed => seed,
         };
-        for i in 0..u64::from(count) {
-            // Seed 0 means the node's own, so it is never a sample's.
-            let seed = first_seed.wrapping_add(i).max(1);
-            samples.push(self.draw(request, &fixed, &order, seed)?);
+        // Seed 0 means the node's own, so it is never a sample's.
+        let seeds: Vec<_> =
+            (0..u64::from(count)).map(|i| first_seed.wrapping_add(i).max(1)).collect();
+        // Samples share the cores, or else the draws of the only one do.
+        let (for_samples, for_draws) = if seeds.len() > 1 { (cores(), 1) } else { (1, cores()) };
+        let draw = |seed: &u64| self.draw(request, &fixed, &order, *seed, for_draws);
+        for sample in at_once(&seeds, for_samples, draw) {
+            samples.push(sample?);
         }
         Ok(())
     }
 
-    /// Draws manners until a motion passes every check. What a request or an operator has set
-    /// stays as it is; where a request does not ask for draws, the first try is at the prior's
-    /// mean, and the manner parameters that nobody has set are drawn only if that fails.
+    /// Draws manners until a motion passes every check: first with a quick look for each one's way, then a
+    /// thorough one for those that came nearest.
     fn draw(
         &self,
         request: &SampleRequest,
         fixed: &[(usize, f64)],
         order: &Order,
         seed: u64,
+        threads: usize,
     ) -> Result<Sample, Refusal> {
-        let space = self.model.primitive.manner_space();
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let draws = request.sample_manner || self.settings.manner_mode == MannerMode::Prior;
-        let is_fixed = |index| fixed.iter().any(|(i, _)| *i == index);
-        let is_free = |&index: &usize| !is_fixed(index) && (draws || !self.manner_set[index]);
-        let free: Vec<usize> = (0..space.dim()).filter(is_free).collect();
-        // With nothing left to draw, a second try would be the first again.
-        let tries = if free.is_empty() { 1 } else { self.settings.max_tries };
-        let mut best: Option<Failure> = None;
-        for attempt in 1..=tries {
-            let mut h = self.manner.values().to_vec();
-            if draws || attempt > 1 {
-                let drawn = self.model.primitive.sample_manner(&mut rng);
-                free.iter().for_each(|&index| h[index] = drawn.values()[index]);
-            }
-            for &(index, value) in fixed {
-                h[index] = value;
-            }
-            let h = MannerParameters::new(space, h).map_err(manner_refusal)?;
-            match order.carry_out(&self.model, &self.robot, &h) {
-                Ok(mut sample) => {
-                    if let (false, Some(failure)) = (draws, &best) {
-                        sample.warnings.push(format!(
-                            "the manner parameters that are not set were drawn, since their mean \
-                             was refused: {}",
-                            failure.refusal.message
-                        ));
+        let manners: Vec<_> = self.manners(request, fixed, seed).collect::<Result<_, _>>()?;
+        let carry_out =
+            |h: &MannerParameters, effort| order.carry_out(&self.model, &self.robot, h, effort);
+        let mut failures: Vec<(usize, Failure)> = Vec::new();
+        if manners.len() > 1 {
+            // The first mostly passes; from then on as many at once as there are threads. What counts is their
+            // order, so that the answer does not depend on how many that are.
+            let (first, rest) = manners.split_at(1);
+            for some in std::iter::once(first).chain(rest.chunks(threads)) {
+                let outcomes = at_once(some, threads, |h| carry_out(h, Effort::Quick));
+                for outcome in outcomes {
+                    match outcome {
+                        Ok(sample) => {
+                            let tries = failures.len() as u32 + 1;
+                            let mean = failures.first().map(|(_, failure)| failure);
+                            return Ok(self.told(request, mean, Sample { seed, tries, ..sample }));
+                        }
+                        Err(failure) => failures.push((failures.len(), failure)),
                     }
-                    return Ok(Sample { seed, tries: attempt, ..sample });
+                }
+            }
+            // A stable sort, so that the first of equals is tried first.
+            failures.sort_by(|(_, a), (_, b)| {
+                b.nearness().partial_cmp(&a.nearness()).unwrap_or(Ordering::Equal)
+            });
+        }
+        let tries = manners.len() as u32;
+        let mut best: Option<Failure> = None;
+        let nearest = failures.iter().map(|(i, _)| *i).chain((manners.len() == 1).then_some(0));
+        for i in nearest.take(MOST_THOROUGH) {
+            match carry_out(&manners[i], Effort::Thorough) {
+                Ok(sample) => {
+                    let mean = failures.iter().find(|(first, _)| *first == 0 && i > 0);
+                    let mean = mean.map(|(_, failure)| failure);
+                    return Ok(self.told(request, mean, Sample { seed, tries, ..sample }));
                 }
                 Err(failure) => best = Some(Failure::nearer(best, failure)),
             }
@@ -361,6 +378,74 @@ impl PrimitiveServer {
                 ..failure.refusal
             },
         })
+    }
+
+    /// A sample that tells where its manner was drawn though nobody asked for draws.
+    fn told(&self, request: &SampleRequest, mean: Option<&Failure>, mut sample: Sample) -> Sample {
+        if let (false, Some(mean)) = (self.draws(request), mean) {
+            sample.warnings.push(format!(
+                "the manner parameters that are not set were drawn, since their mean was refused: {}",
+                mean.refusal.message
+            ));
+        }
+        sample
+    }
+
+    /// Whether a request's manner is drawn from the prior.
+    fn draws(&self, request: &SampleRequest) -> bool {
+        request.sample_manner || self.settings.manner_mode == MannerMode::Prior
+    }
+
+    /// The manners to try, one after the other. What a request or an operator has set stays as it is; where a
+    /// request does not ask for draws, the first try is at the prior's mean, and the manner parameters that
+    /// nobody has set are drawn only if that fails.
+    fn manners(
+        &self,
+        request: &SampleRequest,
+        fixed: &[(usize, f64)],
+        seed: u64,
+    ) -> impl Iterator<Item = Result<MannerParameters, Refusal>> {
+        let space = self.model.primitive.manner_space();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let draws = self.draws(request);
+        let is_fixed = |index| fixed.iter().any(|(i, _)| *i == index);
+        let is_free = |&index: &usize| !is_fixed(index) && (draws || !self.manner_set[index]);
+        let free: Vec<usize> = (0..space.dim()).filter(is_free).collect();
+        // With nothing left to draw, a second try would be the first again.
+        let tries = if free.is_empty() { 1 } else { self.settings.max_tries };
+        (1..=tries).map(move |attempt| {
+            let mut h = self.manner.values().to_vec();
+            if draws || attempt > 1 {
+                let drawn = self.model.primitive.sample_manner(&mut rng);
+                free.iter().for_each(|&index| h[index] = drawn.values()[index]);
+            }
+            for &(index, value) in fixed {
+                h[index] = value;
+            }
+            MannerParameters::new(space, h).map_err(manner_refusal)
+        })
+    }
+
+    /// Whether any of the motions that a request may be answered with could be followed point by point: each of
+    /// its poses has a configuration, on its own and found from many starts, that is inside the limits and
+    /// clear of what must not be touched. It takes much longer than an answer.
+    ///
+    /// # Errors
+    /// A request that names what there is not; a task that is not known.
+    pub fn could_be_followed(
+        &self,
+        request: &SampleRequest,
+        now_secs: f64,
+    ) -> Result<bool, Refusal> {
+        let w = self.task(&request.task, now_secs)?;
+        let fixed = self.fixed_manner(&request.manner_names, &request.manner_values)?;
+        let order = self.order(request, w, 0.0, Vec::new(), now_secs)?;
+        for h in self.manners(request, &fixed, request.seed.max(1)) {
+            if order.could_be_followed(&self.model, &self.robot, &h?) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     fn order(
@@ -592,6 +677,39 @@ impl PrimitiveServer {
         Ok(fixed)
     }
 
+    /// Whether a request's task is like those that were trained on.
+    ///
+    /// # Errors
+    /// A task that is not known.
+    pub fn is_familiar(&self, request: &SampleRequest, now_secs: f64) -> Result<bool, Refusal> {
+        let w = self.task(&request.task, now_secs)?;
+        Ok(self.unfamiliar(&w).is_none())
+    }
+
+    /// How a task is not like those that were trained on, if it is not.
+    fn unfamiliar(&self, w: &TaskParameters) -> Option<String> {
+        let space = self.model.space();
+        let outside = space
+            .value_names()
+            .into_iter()
+            .zip(space.intervals())
+            .zip(w.values())
+            .find(|((_, interval), value)| !interval.contains(**value));
+        if let Some(((name, interval), value)) = outside {
+            return Some(format!(
+                "{name} = {value:.3} {} is outside the trained region, {:.3} to {:.3}",
+                space.unit, interval.lower, interval.upper
+            ));
+        }
+        (self.model.familiarity.task(w.values()) == 0.0).then(|| {
+            let values: Vec<_> = w.values().iter().map(|v| format!("{v:.3}")).collect();
+            format!(
+                "the task ({}) lies further from the training tasks than any of them from the others",
+                values.join(", ")
+            )
+        })
+    }
+
     /// The share of training tasks further out than `w`.
     ///
     /// # Errors
@@ -603,29 +721,8 @@ impl PrimitiveServer {
         request: &SampleRequest,
         warnings: &mut Vec<String>,
     ) -> Result<f64, Refusal> {
-        let space = self.model.space();
         let share = self.model.familiarity.task(w.values());
-        let outside = space
-            .value_names()
-            .into_iter()
-            .zip(space.intervals())
-            .zip(w.values())
-            .find(|((_, interval), value)| !interval.contains(**value));
-        let fact = match outside {
-            Some(((name, interval), value)) => format!(
-                "{name} = {value:.3} {} is outside the trained region, {:.3} to {:.3}",
-                space.unit, interval.lower, interval.upper
-            ),
-            None if share == 0.0 => {
-                let values: Vec<_> = w.values().iter().map(|v| format!("{v:.3}")).collect();
-                format!(
-                    "the task ({}) lies further from the training tasks than any of them from the \
-                     others",
-                    values.join(", ")
-                )
-            }
-            None => return Ok(share),
-        };
+        let Some(fact) = self.unfamiliar(w) else { return Ok(share) };
         if request.allow_out_of_distribution
             || self.settings.out_of_distribution == OutOfDistribution::Warn
         {
@@ -656,6 +753,30 @@ impl PrimitiveServer {
     fn next_seed(&self, count: u32) -> u64 {
         self.settings.seed.wrapping_add(self.seeds_drawn.fetch_add(u64::from(count), Relaxed))
     }
+}
+
+fn cores() -> usize {
+    thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS)
+}
+
+/// What becomes of several things, in their order, worked out on so many threads.
+fn at_once<I: Sync, T: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> T + Sync) -> Vec<T> {
+    let share = items.len().div_ceil(threads).max(1);
+    if share >= items.len() {
+        return items.iter().map(work).collect();
+    }
+    thread::scope(|scope| {
+        let work = &work;
+        let threads: Vec<_> = items
+            .chunks(share)
+            .map(|items| scope.spawn(move || items.iter().map(work).collect::<Vec<_>>()))
+            .collect();
+        let results = threads.into_iter().map(|thread| match thread.join() {
+            Ok(results) => results,
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        results.flatten().collect()
+    })
 }
 
 fn check_robot(model: &ServedModel, robot: &Robot) -> Result<(), Refusal> {

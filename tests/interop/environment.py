@@ -1,6 +1,7 @@
-"""Makes .venv-kilted or .venv-jazzy: real rclpy from PyPI, with msg/tcvae_msgs built into it.
+"""Makes .venv-kilted or .venv-jazzy: real rclpy from PyPI, with msg/tcvae_msgs built into it; or .venv-verify,
+for the program in tests/verify.
 
-    python3 tests/interop/environment.py [kilted|jazzy]
+    python3 tests/interop/environment.py [kilted|jazzy|verify]
 
 `./x test` runs this; it does nothing when the environment is up to date. It needs Python 3.12,
 for which the wheels are made ($PYTHON, python3.12, a pyenv version, or python3 if it is one), and
@@ -136,8 +137,24 @@ def make(distro):
     return venv / "bin" / "python"
 
 
+def make_verify():
+    """Likewise the environment of tests/verify, which is wheels alone."""
+    venv, requirements = ROOT / ".venv-verify", ROOT / "tests" / "verify" / "requirements.txt"
+    stamp, wanted = venv / "made-wheels", digest(requirements)
+    if not (stamp.is_file() and stamp.read_text() == wanted):
+        print(f"environment: the wheels of tests/verify into {venv.name}", file=sys.stderr)
+        shutil.rmtree(venv, ignore_errors=True)
+        run([python312(), "-m", "venv", venv])
+        run([venv / "bin" / "python", "-m", "pip", "install", "--quiet", "-r", requirements])
+        stamp.write_text(wanted)
+    return venv / "bin" / "python"
+
+
 if __name__ == "__main__":
     chosen = sys.argv[1] if len(sys.argv) > 1 else "kilted"
+    if chosen == "verify":
+        print(make_verify())
+        sys.exit()
     if not (HERE / f"requirements-{chosen}.txt").is_file():
-        sys.exit(f"environment: no requirements-{chosen}.txt; known are kilted and jazzy")
+        sys.exit(f"environment: no requirements-{chosen}.txt; known are kilted, jazzy and verify")
     print(make(chosen))

@@ -19,6 +19,8 @@ from user import User, location, pose, task
 POUR, SOURCE = (0.65, 0.37), (0.60, 0.10)
 MODEL = ROOT / "models" / "pouring.safetensors"
 NAN, INF = math.nan, math.inf
+# Of the left arm's limits.
+MIDDLE = [0.0, -0.55, 0.0, 1.284, 0.0, 0.2616, 0.0]
 
 
 def sample(user, **fields):
@@ -185,9 +187,12 @@ def test_a_stale_task_is_refused_and_a_fresh_one_served(node, user):
     assert sample(user, task=task(POUR, SOURCE)).error_code == ErrorCode.OK
 
 
-def test_a_start_far_from_the_first_point_is_refused_and_a_near_one_served(node, user):
+def test_by_the_policy_refuse_a_start_far_from_the_first_point_is_refused_and_a_near_one_served(node, user):
     first = sample(user, **GOOD).samples[0].joint_trajectory
     names, there = list(first.joint_names), list(first.points[0].positions)
+    user.set_parameter("start.policy", "refuse")
+    response = sample(user, **GOOD)
+    assert response.error_code == ErrorCode.STALE_JOINT_STATE, response.error_message
     # Other joints of the robot may be among them.
     near = JointState(name=names + ["right_s0"], position=there + [0.3])
     response = sample(user, **GOOD, start=near)
@@ -199,6 +204,49 @@ def test_a_start_far_from_the_first_point_is_refused_and_a_near_one_served(node,
     assert "left_s0" in response.error_message
     not_finite = JointState(name=names, position=[NAN, *there[1:]])
     assert sample(user, **GOOD, start=not_finite).error_code == ErrorCode.NOT_FINITE
+
+
+def test_an_arm_elsewhere_is_brought_to_the_first_point(node, user):
+    response = sample(user, **GOOD)
+    assert any("no joint states" in w for w in response.samples[0].warnings)
+    first = response.samples[0].joint_trajectory
+    names, there = list(first.joint_names), list(first.points[0].positions)
+    away = [q + 0.3 * (middle - q) for q, middle in zip(there, MIDDLE)]
+    states = user.matched(user.client.node.create_publisher(JointState, "/joint_states", 10))
+    # In two messages, as from two drivers, and the gripper's in between.
+    messages = [JointState(name=names[:3], position=away[:3]),
+                JointState(name=["l_gripper_l_finger_joint"], position=[0.01]),
+                JointState(name=names[3:], position=away[3:])]
+
+    for message in messages:
+        states.publish(message)
+        user.wait(0.1)
+    response = sample(user, **GOOD)
+    assert response.error_code == ErrorCode.OK, response.error_message
+    brought = response.samples[0]
+    begin = brought.primitive_start_index
+    points = brought.joint_trajectory.points
+    assert len(points) == begin + 100 and begin >= 7
+    assert all(abs(v) < 1e-12 for v in points[begin].velocities)
+    assert all(abs(a - b) < 0.05 for a, b in zip(points[0].positions, away))
+    assert len(brought.position_stddev) == len(points)
+    assert list(points[begin].accelerations) == [0.0] * 7
+    # A second later they are old.
+    user.wait(1.2)
+    response = sample(user, **GOOD)
+    assert response.samples[0].primitive_start_index == 0
+    assert any("start.max_age_s" in w for w in response.samples[0].warnings)
+
+
+def test_a_table_below_the_hand_is_kept_clear_of(node, user):
+    free = sample(user, **GOOD).samples[0]
+    assert free.min_clearance >= 0.01
+    lowest = min(t.transforms[0].translation.z for t in free.end_effector_trajectory.points)
+    user.set_parameter("collision.table_height_m", lowest - 0.02)
+    response = sample(user, **GOOD)
+    assert response.error_code == ErrorCode.COLLISION or response.samples[0].tries > 1
+    user.set_parameter("collision.table_height_m", -10.0)
+    assert sample(user, **GOOD).samples[0].joint_trajectory == free.joint_trajectory
 
 
 def test_trigger_before_any_task_says_what_is_missing(node, user):

@@ -1038,14 +1038,14 @@ def print_summary(summary, robot, secs):
     print(f"{samples} samples, {violated} with a violation; {secs:.1f} s, {samples / secs:.0f}/s")
 
 
-def main():
+def main(arguments=None):
     parser = argparse.ArgumentParser(description="Verifies published samples without tcvae.")
     parser.add_argument("samples", type=Path, help="one {request, sample} a line")
     parser.add_argument("--robot", type=Path, required=True, help="the robot's TOML")
     parser.add_argument("--task", type=Path, required=True, help="the task's TOML")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--processes", type=int, default=2)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(arguments)
     start = time.perf_counter()
     try:
         # Here too, so that what is wrong with them is said once.

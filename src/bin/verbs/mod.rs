@@ -1,5 +1,6 @@
 //! The program's verbs, one module each, and what they share.
 
+pub(crate) mod check;
 pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod inspect;

@@ -157,7 +157,7 @@ fn reply_json(reply: &SampleReply) -> Value {
 }
 
 /// The fields of Sample.msg. Times are numbers of seconds; NaN, which JSON has not, is null.
-fn sample_json(sample: &Sample) -> Value {
+pub(super) fn sample_json(sample: &Sample) -> Value {
     let Sample {
         joint_trajectory,
         end_effector_trajectory,
