@@ -106,6 +106,8 @@ pub struct LoadedRobot {
     pub chain: Chain,
     /// What must stay apart.
     pub hull: Hull,
+    /// Links whose shape is not known.
+    pub unmodelled: Vec<String>,
     /// Its description, as it was read.
     pub urdf: String,
     /// SHA-256 over the URDF.
@@ -120,6 +122,7 @@ impl LoadedRobot {
             chain: self.chain.clone(),
             hull: self.hull.clone(),
             clearance_m: self.config.collision.clearance_m,
+            unmodelled: self.unmodelled.clone(),
         }
     }
 }
@@ -171,7 +174,8 @@ pub fn robot<E: Display>(
     arm = arm.with_limits(&config.limits).map_err(|e| content(here, &e.to_string()))?;
     let hull = arm.hull(&config.collision).map_err(|e| content(here, &e.to_string()))?;
     let urdf_sha256 = hex(&Sha256::digest(urdf.as_bytes()));
-    Ok(LoadedRobot { config, chain: arm.chain, hull, urdf, urdf_sha256 })
+    let ArmDescription { chain, unmodelled, .. } = arm;
+    Ok(LoadedRobot { config, chain, hull, unmodelled, urdf, urdf_sha256 })
 }
 
 /// Limits by joint out of MoveIt's `joint_limits.yaml`: a limit counts where its `has_…_limits` is true.

@@ -7,7 +7,9 @@
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::{Geometry, JointType};
 
-use crate::kinematics::{ArmDescription, Capsule, Chain, ChainError, Joint, JointKind, LinkPlace};
+use crate::kinematics::{
+    ArmDescription, Capsule, Chain, ChainError, Joint, JointKind, LinkPlace, Mimic,
+};
 
 /// Why a robot description has no chain between the two frames.
 #[derive(Debug, thiserror::Error)]
@@ -61,14 +63,14 @@ pub enum UrdfError {
     /// A joint on the way that this crate does not move.
     #[error(
         "joint {joint:?} on the way to {tip:?} is {kind}; only fixed, revolute, continuous and \
-         prismatic joints that move on their own are supported there"
+         prismatic joints are supported there"
     )]
     Unsupported {
         /// Name of the joint.
         joint: String,
         /// The tip link.
         tip: String,
-        /// What it is: `floating`, or `a mimic of "left_s0"`.
+        /// What it is, such as `floating`.
         kind: String,
     },
     /// The joints on the way are no chain.
@@ -80,7 +82,7 @@ pub enum UrdfError {
 ///
 /// # Errors
 /// Text that is not URDF, frames that are not in it, a tip that does not hang on the base, a joint
-/// on the way that floats, mimics, or has no usable limits.
+/// on the way that floats, mimics one that is not, or has no usable limits.
 pub fn chain(urdf_xml: &str, base: &str, tip: &str) -> Result<Chain, UrdfError> {
     Ok(arm(urdf_xml, base, tip)?.chain)
 }
@@ -135,6 +137,11 @@ pub fn arm(urdf_xml: &str, base: &str, tip: &str) -> Result<ArmDescription, Urdf
             velocity: joint.limit.velocity,
             acceleration: acceleration.is_finite().then_some(acceleration),
             jerk: joint.limit.jerk.is_finite().then_some(joint.limit.jerk),
+            mimic: joint.mimic.as_ref().map(|mimic| Mimic {
+                joint: mimic.joint.clone(),
+                multiplier: mimic.multiplier.unwrap_or(1.0),
+                offset: mimic.offset.unwrap_or(0.0),
+            }),
         });
     }
     let chain = Chain::new(base, tip, joints, parent_from_here)?;
@@ -249,9 +256,6 @@ fn path<'a>(
 fn kind(joint: &urdf_rs::Joint, tip: &str) -> Result<JointKind, UrdfError> {
     let unsupported =
         |kind: String| UrdfError::Unsupported { joint: joint.name.clone(), tip: tip.into(), kind };
-    if let Some(mimic) = &joint.mimic {
-        return Err(unsupported(format!("a mimic of {:?}", mimic.joint)));
-    }
     match joint.joint_type {
         JointType::Revolute => Ok(JointKind::Revolute),
         JointType::Continuous => Ok(JointKind::Continuous),
@@ -354,9 +358,24 @@ mod tests {
             let xml = robot(&joint(kind, "base", "tool", LIMIT));
             assert!(refusal(&xml, "base", "tool").contains(&format!("is {kind};")));
         }
-        let mimic = [LIMIT, "<mimic joint='to_lamp'/>"].concat();
-        let xml = robot(&joint("revolute", "base", "tool", &mimic));
-        assert!(refusal(&xml, "base", "tool").contains("is a mimic of \"to_lamp\";"));
+    }
+
+    #[test]
+    fn a_mimic_follows_a_joint_on_the_way_and_no_other() {
+        let mimic = |of: &str| [LIMIT, &format!("<mimic joint='{of}' multiplier='2'/>")].concat();
+        let xml = |of: &str| {
+            let joints = [
+                joint("revolute", "base", "arm", LIMIT),
+                joint("revolute", "arm", "tool", &mimic(of)),
+            ];
+            robot(&joints.concat())
+        };
+        let arm = chain(&xml("to_arm"), "base", "tool").unwrap();
+        // -1 to 2, and half of it.
+        assert_eq!((arm.dof(), arm.joints()[0].lower, arm.joints()[0].upper), (1, -0.5, 1.0));
+        assert!((arm.forward(&[0.3]).rotation.angle() - 0.9).abs() < 1e-12);
+        assert!(refusal(&xml("to_lamp"), "base", "tool").contains("is a mimic of \"to_lamp\""));
+        assert!(refusal(&xml("to_tool"), "base", "tool").contains("is a mimic of \"to_tool\""));
     }
 
     #[test]

@@ -36,6 +36,7 @@ fn planar(shoulder: f64) -> Chain {
         velocity: 1.0,
         acceleration: None,
         jerk: None,
+        mimic: None,
     };
     let joints =
         vec![joint("shoulder", 0.0, shoulder), joint("elbow", 1.0, 2.8), joint("wrist", 0.6, 2.8)];

@@ -415,6 +415,19 @@ fn an_arm_elsewhere_is_brought_to_the_first_point() {
 }
 
 #[test]
+fn what_the_arm_keeps_off_is_told_and_so_is_what_nobody_knows() {
+    let mut robot = tcvae::config::robot(None, tcvae::urdf::arm).unwrap().served();
+    let told = "12 shapes, 0.01 m off each other; a table at z = -0.22 m; no shape of right_upper_shoulder, \
+                right_lower_shoulder, right_upper_elbow, right_lower_elbow and 4 more";
+    assert_eq!(robot.clearance(), told);
+    robot.unmodelled.clear();
+    robot.hull = robot.hull.with_table(None);
+    assert_eq!(robot.clearance(), "12 shapes, 0.01 m off each other; no table");
+    robot.hull = tcvae::kinematics::Hull::default();
+    assert_eq!(robot.clearance(), "no shapes, so that nothing keeps it off itself or a table");
+}
+
+#[test]
 fn an_arm_that_would_touch_the_table_goes_another_way_or_not_at_all() {
     let mut server = server();
     let free = one(&server, &request());

@@ -43,6 +43,19 @@ pub struct Joint {
     pub acceleration: Option<f64>,
     /// Largest jerk, rad/s³ or m/s³, where one is known.
     pub jerk: Option<f64>,
+    /// The joint that this one follows, if it does not move on its own.
+    pub mimic: Option<Mimic>,
+}
+
+/// How a joint follows another of its chain: it is at `multiplier` times the other's position plus `offset`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mimic {
+    /// Name of the other joint.
+    pub joint: String,
+    /// Units of this joint per unit of the other.
+    pub multiplier: f64,
+    /// Where this joint is when the other is at 0 (rad, or m).
+    pub offset: f64,
 }
 
 impl Joint {
@@ -108,6 +121,21 @@ pub enum ChainError {
         /// The limit.
         velocity: f64,
     },
+    /// A joint that follows one that is not there, that follows another itself, or by no number.
+    #[error(
+        "joint {joint:?} is a mimic of {of:?} by {multiplier} and {offset}; it can only follow a joint between \
+         the base and the tip that moves on its own, by finite numbers, the first not 0"
+    )]
+    Mimic {
+        /// Name of the joint.
+        joint: String,
+        /// The joint that it follows.
+        of: String,
+        /// See [`Mimic::multiplier`].
+        multiplier: f64,
+        /// See [`Mimic::offset`].
+        offset: f64,
+    },
     /// An acceleration or a jerk limit that is not above 0.
     #[error("joint {joint:?} has {what} limit {limit}; it must be above 0")]
     Limit {
@@ -125,6 +153,9 @@ pub enum ChainError {
 pub struct Chain {
     base_frame: String,
     tip_frame: String,
+    /// All of them, in their order.
+    moving: Vec<Joint>,
+    /// Those that move on their own, with limits that hold for those that follow them, too.
     joints: Vec<Joint>,
     last_joint_from_tip: Isometry3<f64>,
     /// What forward kinematics multiplies: the joints' frames turned so that every axis is z.
@@ -134,10 +165,11 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// A chain of these joints.
+    /// A chain of these joints. Those that follow others are no joints of the chain by themselves: a configuration
+    /// has no values of theirs, and their limits narrow the others'.
     ///
     /// # Errors
-    /// No joint at all, a name that stands twice, a transform that is not finite, limits that
+    /// No joint at all, a joint that follows none of them, a name that stands twice, a transform that is not finite, limits that
     /// leave no room, no velocity limit.
     pub fn new(
         base_frame: impl Into<String>,
@@ -146,30 +178,47 @@ impl Chain {
         last_joint_from_tip: Isometry3<f64>,
     ) -> Result<Self, ChainError> {
         let (base_frame, tip_frame) = (base_frame.into(), tip_frame.into());
+        let moving = joints;
+        let mut joints: Vec<Joint> = moving.iter().filter(|j| j.mimic.is_none()).cloned().collect();
         if joints.is_empty() {
             return Err(ChainError::NoJoints { base_frame, tip_frame });
         }
-        for (i, joint) in joints.iter().enumerate() {
+        for (i, joint) in moving.iter().enumerate() {
             check(joint)?;
-            if joints[..i].iter().any(|j| j.name == joint.name) {
+            if moving[..i].iter().any(|j| j.name == joint.name) {
                 return Err(ChainError::Duplicate { joint: joint.name.clone() });
             }
         }
         if !is_finite(&last_joint_from_tip) {
-            return Err(ChainError::Geometry { joint: joints[joints.len() - 1].name.clone() });
+            return Err(ChainError::Geometry { joint: moving[moving.len() - 1].name.clone() });
         }
+        let leaders = moving.iter().map(|joint| leader(joint, &joints));
+        let leaders: Vec<_> = leaders.collect::<Result<_, _>>()?;
+        for (joint, (leader, multiplier, offset)) in moving.iter().zip(&leaders) {
+            narrow(&mut joints[*leader], joint, *multiplier, *offset);
+        }
+        // What is left after narrowing may be no range.
+        joints.iter().try_for_each(check)?;
         let mut links = Vec::with_capacity(joints.len());
         let mut aligned_from_joint = UnitQuaternion::identity();
-        for joint in &joints {
+        for (joint, &(leader, multiplier, offset)) in moving.iter().zip(&leaders) {
             let joint_from_aligned = z_to(&joint.axis);
             let transform = aligned_from_joint * joint.parent_from_joint * joint_from_aligned;
-            links.push(Link::new(&transform, joint.kind));
+            links.push(Link::new(&transform, joint.kind, leader, multiplier, offset));
             aligned_from_joint = joint_from_aligned.inverse();
         }
         let last = aligned_from_joint * last_joint_from_tip;
         let last_link_from_tip =
             (last.rotation.to_rotation_matrix().into_inner(), last.translation.vector);
-        Ok(Self { base_frame, tip_frame, joints, last_joint_from_tip, links, last_link_from_tip })
+        Ok(Self {
+            base_frame,
+            tip_frame,
+            moving,
+            joints,
+            last_joint_from_tip,
+            links,
+            last_link_from_tip,
+        })
     }
 
     /// Name of the frame that poses are given in.
@@ -182,12 +231,12 @@ impl Chain {
         &self.tip_frame
     }
 
-    /// The moving joints, from the base to the tip.
+    /// The joints that move on their own, from the base to the tip.
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
-    /// Number of moving joints.
+    /// Number of joints that move on their own.
     pub fn dof(&self) -> usize {
         self.joints.len()
     }
@@ -220,6 +269,19 @@ impl Chain {
             }
         }
         Ok(self)
+    }
+
+    /// The same chain with position limits so much further out on both sides (rad or m).
+    ///
+    /// # Errors
+    /// A distance that leaves no range.
+    pub fn widened(&self, by: f64) -> Result<Self, ChainError> {
+        let mut joints = self.moving.clone();
+        for joint in &mut joints {
+            joint.lower -= by;
+            joint.upper += by;
+        }
+        Self::new(&*self.base_frame, &*self.tip_frame, joints, self.last_joint_from_tip)
     }
 
     /// The configuration with every joint in the middle of its range.
@@ -257,11 +319,45 @@ impl Chain {
 
     /// Into the frame that forward kinematics uses for what a joint moves, from the joint's own frame.
     pub(super) fn aligned_from_joint(&self, joint: usize) -> UnitQuaternion<f64> {
-        z_to(&self.joints[joint].axis).inverse()
+        z_to(&self.moving[joint].axis).inverse()
     }
 
     pub(super) fn assert_dof(&self, q: &[f64]) {
         assert_eq!(q.len(), self.dof(), "a configuration has one value per joint");
+    }
+}
+
+/// Which of the joints that move on their own tells where a joint is, and by which numbers.
+fn leader(joint: &Joint, joints: &[Joint]) -> Result<(usize, f64, f64), ChainError> {
+    let index = |name: &str| joints.iter().position(|j| j.name == name);
+    let Some(Mimic { joint: of, multiplier, offset }) = &joint.mimic else {
+        return Ok((index(&joint.name).expect("it is one of them"), 1.0, 0.0));
+    };
+    let usable = multiplier.is_finite() && *multiplier != 0.0 && offset.is_finite();
+    match index(of).filter(|_| usable) {
+        Some(index) => Ok((index, *multiplier, *offset)),
+        None => Err(ChainError::Mimic {
+            joint: joint.name.clone(),
+            of: of.clone(),
+            multiplier: *multiplier,
+            offset: *offset,
+        }),
+    }
+}
+
+/// Keeps a joint where one that follows it is inside its own limits.
+fn narrow(leader: &mut Joint, follower: &Joint, multiplier: f64, offset: f64) {
+    let [a, b] = [follower.lower, follower.upper].map(|limit| (limit - offset) / multiplier);
+    leader.lower = leader.lower.max(a.min(b));
+    leader.upper = leader.upper.min(a.max(b));
+    let slowest = |own: f64, limit: f64| own.min(limit / multiplier.abs());
+    leader.velocity = slowest(leader.velocity, follower.velocity);
+    for (own, limit) in
+        [(&mut leader.acceleration, follower.acceleration), (&mut leader.jerk, follower.jerk)]
+    {
+        if let Some(limit) = limit {
+            *own = Some(slowest(own.unwrap_or(f64::INFINITY), limit));
+        }
     }
 }
 
@@ -315,6 +411,7 @@ mod tests {
             velocity: 1.0,
             acceleration: None,
             jerk: None,
+            mimic: None,
         }
     }
 
@@ -361,5 +458,52 @@ mod tests {
             let error = free.clone().with_limits(&limits(None, Some(bad))).unwrap_err();
             assert!(error.to_string().contains("jerk limit"), "{error}");
         }
+    }
+
+    /// A slide whose second half follows the first, as in a telescope, and turns back.
+    #[test]
+    fn a_joint_that_follows_another_moves_with_it_and_narrows_its_limits() {
+        let follower = |multiplier, offset| Joint {
+            name: "follower".into(),
+            lower: -0.1,
+            upper: 0.2,
+            velocity: 0.5,
+            acceleration: Some(3.0),
+            mimic: Some(Mimic { joint: slide().name, multiplier, offset }),
+            ..slide()
+        };
+        let telescope = chain(vec![slide(), follower(-0.5, 0.05)]).unwrap();
+        assert_eq!((telescope.dof(), telescope.joint_names()), (1, vec![slide().name]));
+        let joint = &telescope.joints()[0];
+        // Of -0.1 <= 0.05 - 0.5 q <= 0.2, and of the slide's own.
+        let own = (slide().lower, slide().upper);
+        assert!((joint.lower - own.0.max(-0.3)).abs() < 1e-12, "{}", joint.lower);
+        assert!((joint.upper - own.1.min(0.3)).abs() < 1e-12, "{}", joint.upper);
+        assert_eq!((joint.velocity, joint.acceleration), (slide().velocity.min(1.0), Some(6.0)));
+        let both = chain(vec![slide(), Joint { mimic: None, ..follower(1.0, 0.0) }]).unwrap();
+        for q in [-0.2, 0.0, 0.25] {
+            let expected = both.forward(&[q, 0.05 - 0.5 * q]);
+            assert!(
+                (telescope.forward(&[q]).to_homogeneous() - expected.to_homogeneous()).norm()
+                    < 1e-12
+            );
+            let (_, jacobian) = telescope.jacobian(&[q]);
+            let (_, each) = both.jacobian(&[q, 0.05 - 0.5 * q]);
+            let sum = each.column(0) - 0.5 * each.column(1);
+            assert!((jacobian.column(0) - sum).norm() < 1e-12);
+        }
+        for wrong in [
+            follower(0.0, 0.0),
+            follower(f64::NAN, 0.0),
+            Joint {
+                mimic: Some(Mimic { joint: "moon".into(), multiplier: 1.0, offset: 0.0 }),
+                ..follower(1.0, 0.0)
+            },
+        ] {
+            let error = chain(vec![slide(), wrong]).unwrap_err();
+            assert!(matches!(error, ChainError::Mimic { .. }), "{error}");
+        }
+        // It would have to be where it can't be.
+        assert!(matches!(chain(vec![slide(), follower(1e-9, 5.0)]), Err(ChainError::Range { .. })));
     }
 }

@@ -308,6 +308,7 @@ mod tests {
             velocity: 1.0,
             acceleration: None,
             jerk: None,
+            mimic: None,
         };
         Chain::new(
             "base",

@@ -13,11 +13,24 @@ pub(super) struct Link {
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
     prismatic: bool,
+    /// It is at `multiplier` times the position of this joint plus `offset`: 1 and 0 for a joint of its own.
+    joint: usize,
+    multiplier: f64,
+    offset: f64,
 }
 
 impl Link {
-    pub(super) fn new(previous_from_link: &Isometry3<f64>, kind: JointKind) -> Self {
+    pub(super) fn new(
+        previous_from_link: &Isometry3<f64>,
+        kind: JointKind,
+        joint: usize,
+        multiplier: f64,
+        offset: f64,
+    ) -> Self {
         Self {
+            joint,
+            multiplier,
+            offset,
             rotation: previous_from_link.rotation.to_rotation_matrix().into_inner(),
             translation: previous_from_link.translation.vector,
             prismatic: kind == JointKind::Prismatic,
@@ -65,9 +78,24 @@ impl Chain {
         (tip.isometry(), Matrix6xX::from_columns(&columns))
     }
 
-    /// [`Chain::jacobian`] into `columns`, one per joint, without allocating.
+    /// [`Chain::jacobian`] into `columns`, one per joint; without allocating where no joint follows another.
     #[inline]
     pub(super) fn tip_and_jacobian(&self, q: &[f64], columns: &mut [Vector6<f64>]) -> Frame {
+        if self.links.len() == columns.len() {
+            return self.tip_and_columns(q, columns);
+        }
+        let mut each = vec![Vector6::zeros(); self.links.len()];
+        let tip = self.tip_and_columns(q, &mut each);
+        columns.fill(Vector6::zeros());
+        for (column, link) in each.iter().zip(&self.links) {
+            columns[link.joint] += column * link.multiplier;
+        }
+        tip
+    }
+
+    /// The tip, and what each link's motion makes of it.
+    #[inline]
+    fn tip_and_columns(&self, q: &[f64], columns: &mut [Vector6<f64>]) -> Frame {
         // First each joint's axis and origin; the columns need the tip, known only at the end.
         let tip = self.tip(q, |joint, frame| {
             let (axis, origin) = (frame.rotation.column(2), frame.position);
@@ -108,7 +136,8 @@ impl Chain {
         mut after: impl FnMut(&Frame),
     ) -> Frame {
         let mut frame = Frame { rotation: Matrix3::identity(), position: Vector3::zeros() };
-        for (joint, (link, &value)) in self.links.iter().zip(q).enumerate() {
+        for (joint, link) in self.links.iter().enumerate() {
+            let value = link.multiplier * q[link.joint] + link.offset;
             frame.position += frame.rotation * link.translation;
             frame.rotation *= link.rotation;
             before(joint, &frame);

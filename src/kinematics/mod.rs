@@ -16,7 +16,7 @@ pub mod following;
 pub mod inverse;
 pub mod timing;
 
-pub use chain::{Chain, ChainError, Joint, JointKind};
+pub use chain::{Chain, ChainError, Joint, JointKind, Mimic};
 pub use clearance::{Capsule, Contact, Hull, Nearest};
 pub use description::{
     ArmDescription, CollisionRules, JointLimits, LinkPlace, PartRule, RuleError,

@@ -474,6 +474,7 @@ mod tests {
             velocity,
             acceleration,
             jerk,
+            mimic: None,
         };
         let joints = velocities.iter().enumerate().map(joint).collect();
         Chain::new("base", "tip", joints, Isometry3::identity()).unwrap()

@@ -23,6 +23,8 @@ pub struct Banner<'a> {
     pub model_path: &'a str,
     /// Where the robot comes from; empty for the built-in one.
     pub robot_path: &'a str,
+    /// What keeps the arm from touching what.
+    pub clearance: &'a str,
     /// The frames.
     pub frames: &'a Frames,
     /// The node's names.
@@ -51,7 +53,8 @@ impl Banner<'_> {
         let mut text = format!(
             "tcvae {} serves {} as {names} in domain {} ({reach})\n  \
              model   {} {} ({}), trained on {data} demonstrations\n  \
-             robot   {} ({}), {} joints from {} to {}\n",
+             robot   {} ({}), {} joints from {} to {}\n  \
+             body    {}\n",
             env!("CARGO_PKG_VERSION"),
             description.primitive,
             environment.domain,
@@ -63,6 +66,7 @@ impl Banner<'_> {
             description.joint_names.len(),
             frames.base,
             frames.tip,
+            self.clearance,
         );
         let unit = "m";
         for line in scores(&description.evaluation_json, unit) {
@@ -207,6 +211,7 @@ mod tests {
             example: &[[0.65, 0.3], [0.6, 0.1]],
             model_path: "",
             robot_path: "my.urdf",
+            clearance: "9 shapes, 0.01 m off each other; no table",
             frames: &Frames { base: "base".into(), tip: "left_gripper".into() },
             names: &NodeNames::new("tcvae", &[rules]).unwrap(),
             environment: &Environment::read(|_| None).unwrap(),
@@ -221,6 +226,7 @@ mod tests {
             "serves pouring as /left/tcvae in domain 0 (the whole subnet)",
             "model   TC-VAE 0123456789ab (built in), trained on synthetic demonstrations",
             "robot   baxter (my.urdf), 7 joints from base to left_gripper",
+            "body    9 shapes, 0.01 m off each other; no table",
             "scores  robustness 0.880 [0.860, 0.900] within 0.02 m",
             "scores  3 active latents, leak R2 0.040, 400 test cases",
             "manner  pour_duration: -3 to 3, +0.6 s above 70 degrees per unit (R2 0.91)",

@@ -260,6 +260,7 @@ impl Shared {
             example: &state.server.model().example_task(),
             model_path: state.model_path(),
             robot_path: state.robot_files().path(),
+            clearance: &state.server.robot().clearance(),
             frames: &self.frames,
             names: &self.names,
             environment,

@@ -63,6 +63,8 @@ pub struct Robot {
     pub hull: Hull,
     /// Smallest distance that is left between what must stay apart (m).
     pub clearance_m: f64,
+    /// Links whose shape is not known.
+    pub unmodelled: Vec<String>,
 }
 
 impl Robot {
@@ -72,7 +74,30 @@ impl Robot {
     /// Rules that do not fit the description.
     pub fn new(arm: ArmDescription, rules: &CollisionRules) -> Result<Self, RuleError> {
         let hull = arm.hull(rules)?;
-        let ArmDescription { name, chain, .. } = arm;
-        Ok(Self { name, chain, hull, clearance_m: rules.clearance_m })
+        let ArmDescription { name, chain, unmodelled, .. } = arm;
+        Ok(Self { name, chain, hull, clearance_m: rules.clearance_m, unmodelled })
+    }
+
+    /// What keeps the arm from touching what, in a line for people.
+    pub fn clearance(&self) -> String {
+        const MOST_NAMES: usize = 4;
+        let parts = self.hull.parts();
+        let table = match self.hull.table_height_m() {
+            Some(height) => format!("a table at z = {height} m"),
+            None => "no table".to_owned(),
+        };
+        let mut text = match parts {
+            0 => "no shapes, so that nothing keeps it off itself or a table".to_owned(),
+            _ => format!("{parts} shapes, {} m off each other; {table}", self.clearance_m),
+        };
+        if let Some(first) = self.unmodelled.get(..MOST_NAMES.min(self.unmodelled.len()))
+            && !first.is_empty()
+        {
+            text += &format!("; no shape of {}", first.join(", "));
+            if let more @ 1.. = self.unmodelled.len() - first.len() {
+                text += &format!(" and {more} more");
+            }
+        }
+        text
     }
 }

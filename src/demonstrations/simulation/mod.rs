@@ -312,13 +312,7 @@ fn workplace(robot: &RobotConfig) -> Result<&Workplace, SimulationError> {
 /// The chain with limits that are 0.18 rad wider, which is how far MIME's angles leave them.
 fn loosened(chain: &Chain) -> Chain {
     const BEYOND_RAD: f64 = 0.18;
-    let mut joints = chain.joints().to_vec();
-    for joint in &mut joints {
-        joint.lower -= BEYOND_RAD;
-        joint.upper += BEYOND_RAD;
-    }
-    Chain::new(chain.base_frame(), chain.tip_frame(), joints, *chain.last_joint_from_tip())
-        .expect("wider limits are limits")
+    chain.widened(BEYOND_RAD).expect("wider limits are limits")
 }
 
 fn normal(rng: &mut (impl Rng + ?Sized)) -> f64 {
