@@ -1,6 +1,5 @@
 //! `tcvae check`: what is served over the trained region.
 #![cfg(feature = "train")]
-#![expect(clippy::unwrap_used, reason = "in a test a panic is the report")]
 
 mod support;
 

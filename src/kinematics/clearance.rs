@@ -295,6 +295,7 @@ mod tests {
     use crate::kinematics::{Joint, JointKind};
     use nalgebra::Isometry3;
     use proptest::prelude::*;
+    use std::f64::consts::FRAC_PI_2;
 
     /// Three links of 0.4 m in the plane of x and y.
     fn planar() -> Chain {
@@ -332,7 +333,7 @@ mod tests {
     fn a_folded_arm_meets_itself_and_neighbours_do_not_count() {
         let hull = arm(&[], None);
         // A zigzag: the third link lies beside the first, 0.4 m off.
-        let beside = hull.nearest(&planar(), &[0.0, 1.570_796_326_794_897, 1.570_796_326_794_897]);
+        let beside = hull.nearest(&planar(), &[0.0, FRAC_PI_2, FRAC_PI_2]);
         let beside = beside.unwrap();
         assert!((beside.distance_m - 0.3).abs() < 1e-9, "{beside:?}");
         assert_eq!(beside.contact, Contact::Links("link_1".into(), "link_3".into()));
@@ -369,7 +370,7 @@ mod tests {
         };
         // Turned up by a quarter turn, the second link's end is 0.3 m above the first's.
         let hull = Hull::new(&chain, vec![ball(0, 0.4), ball(2, 0.3)], &[], None);
-        let nearest = hull.nearest(&chain, &[0.0, -std::f64::consts::FRAC_PI_2, 0.0]).unwrap();
+        let nearest = hull.nearest(&chain, &[0.0, -FRAC_PI_2, 0.0]).unwrap();
         assert!((nearest.distance_m - 0.28).abs() < 1e-9, "{nearest:?}");
     }
 

@@ -335,8 +335,9 @@ fn spline(positions: &[Vec<f64>]) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         }
     }
     for k in (1..points.saturating_sub(1)).rev() {
-        for j in 0..dof {
-            velocities[k][j] -= pivots[k] * velocities[k + 1][j];
+        let (here, after) = velocities.split_at_mut(k + 1);
+        for (here, after) in here[k].iter_mut().zip(&after[0]) {
+            *here -= pivots[k] * after;
         }
     }
     for k in 1..points {
@@ -560,8 +561,8 @@ mod tests {
             for joint in 0..2 {
                 let played = played(&trajectory, joint, false);
                 for pair in played.chunks(21).collect::<Vec<_>>().windows(2) {
-                    for order in 0..3 {
-                        let (end, start) = (pair[0][20][order], pair[1][0][order]);
+                    // Position, velocity and acceleration.
+                    for (end, start) in pair[0][20].iter().zip(pair[1][0]).take(3) {
                         prop_assert!((end - start).abs() < 1e-6 * (1.0 + end.abs()));
                     }
                 }

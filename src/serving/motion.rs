@@ -487,7 +487,7 @@ fn at_rest(model: &ServedModel, decoded: &Motion, points: usize) -> (Motion, Vec
 fn end_times(model: &ServedModel, motion: &Motion) -> [f64; 2] {
     let (steps, step_secs) = (motion.states.steps(), motion.step_secs());
     [[0, 1], [steps - 2, steps - 1]].map(|pair| {
-        let [a, b] = pair.map(|t| model.frame.pose(&motion.states.state(t)));
+        let [a, b] = pair.map(|t| model.frame.pose(motion.states.state(t)));
         let speed = (b.translation.vector - a.translation.vector).norm() / step_secs;
         let turning = a.rotation.angle_to(&b.rotation) / step_secs;
         let needed = (speed / EASE_M_PER_S2).max(turning / EASE_RAD_PER_S2);
