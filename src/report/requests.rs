@@ -63,6 +63,7 @@ pub fn requests_svg(names: &[String], asked: &[Asked]) -> Result<String, PlotErr
             if i + 1 == names.len() {
                 chart
                     .configure_series_labels()
+                    .position(SeriesLabelPosition::UpperRight)
                     .background_style(WHITE.mix(0.8))
                     .border_style(BLACK.mix(0.3))
                     .draw()

@@ -7,6 +7,7 @@
 //! its limits, between the points too, steps no further than its velocity allows, the arm touches neither
 //! itself nor the table, and the motion is valid.
 
+mod approach;
 mod familiarity;
 mod model;
 mod motion;

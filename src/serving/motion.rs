@@ -8,12 +8,13 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
 use crate::demonstrations::TaskMeasureError;
+use crate::kinematics::Chain;
 use crate::kinematics::following::{FollowError, FollowOptions, follow};
 use crate::kinematics::inverse::{InverseOptions, solve};
-use crate::kinematics::timing::{Overshoot, Scales, Timed, approach, eased, time};
-use crate::kinematics::{Chain, Nearest};
+use crate::kinematics::timing::{Overshoot, Scales, Timed, eased, time};
 use crate::parameters::{MannerParameters, TaskParameters};
 use crate::primitive::Generated;
+use crate::serving::approach::{is_clear, touching, way_there};
 use crate::serving::{ErrorCode, GivenLocation, Refusal, Robot, Sample, ServedModel};
 use crate::trajectory::{EndEffectorTrajectory, JointTrajectory, Motion};
 
@@ -28,15 +29,6 @@ const EASE_M_PER_S2: f64 = 0.5;
 const EASE_RAD_PER_S2: f64 = 1.5;
 /// The longest that takes at either end, as a share of the motion.
 const MOST_EASE: f64 = 0.1;
-/// Configurations between two points at which the clearance is looked at.
-const BETWEEN: usize = 3;
-/// Heights by which an approach is led over what is in the way (m).
-const DETOURS_M: [f64; 3] = [0.1, 0.2, 0.3];
-/// Configurations that are drawn for a way around, and how many of them are tried.
-const DETOUR_DRAWS: usize = 300;
-const MOST_DETOURS: usize = 60;
-/// Where an arm that is nearer to the first point than this begins (rad or m), it needs no approach.
-const THERE: f64 = 1e-3;
 /// How far inside its limits each joint is kept at the points (rad or m), so that it is inside between them.
 const LIMIT_MARGIN: f64 = 0.01;
 /// Start configurations of a quick look for a way, and those after the first way that was found.
@@ -152,7 +144,11 @@ impl Order {
         let Executed { poses, timed, position_error_m, orientation_error_rad, .. } = executed;
         let Timed { trajectory: primitive, slowdown } = timed;
 
-        let approach = self.approach(robot, &primitive)?;
+        let approach = match &self.start {
+            Start::Approach(from) => way_there(robot, from, &primitive, self.scales)
+                .map_err(|refusal| Failure { refusal, stage: 4, excess: 1.0 })?,
+            Start::Near(..) | Start::Anywhere => None,
+        };
         let begin = approach.as_ref().map_or(0, |approach| approach.times_secs.len() - 1);
         let whole = match approach {
             Some(approach) => approach.followed_by(primitive),
@@ -321,79 +317,6 @@ impl Order {
         })
     }
 
-    /// The way from where the arm is to the motion's first point, straight through joint space, or over what
-    /// is in the way; nothing where it is there, or where nobody asks.
-    fn approach(
-        &self,
-        robot: &Robot,
-        primitive: &JointTrajectory,
-    ) -> Result<Option<JointTrajectory>, Failure> {
-        let Start::Approach(from) = &self.start else { return Ok(None) };
-        let to = &primitive.positions[0];
-        if from.iter().zip(to).all(|(a, b)| (a - b).abs() < THERE) {
-            return Ok(None);
-        }
-        let step_secs = primitive.times_secs[0];
-        let direct = self.legs(robot, &[from, to], step_secs)?;
-        let Some(touches) = touching(robot, Some(from), &direct) else { return Ok(Some(direct)) };
-        if is_clear(robot, from) {
-            for between in detours(robot, from, to) {
-                let way: Vec<_> = [from].into_iter().chain(&between).chain([to]).collect();
-                let detour = self.legs(robot, &way, step_secs)?;
-                if touching(robot, Some(from), &detour).is_none() {
-                    return Ok(Some(detour));
-                }
-            }
-        }
-        Err(Failure {
-            refusal: Refusal::new(
-                ErrorCode::Collision,
-                format!(
-                    "on the way from where the arm is to the first point {} would be {:.3} m apart, limit \
-                     {:.3} m; move the arm elsewhere first",
-                    touches.contact, touches.distance_m, robot.clearance_m
-                ),
-            ),
-            stage: 4,
-            excess: robot.clearance_m - touches.distance_m,
-        })
-    }
-
-    /// From rest to rest between these configurations.
-    fn legs(
-        &self,
-        robot: &Robot,
-        way: &[&Vec<f64>],
-        step_secs: f64,
-    ) -> Result<JointTrajectory, Failure> {
-        let mut whole: Option<JointTrajectory> = None;
-        for leg in way.windows(2) {
-            let leg = approach(&robot.chain, leg[0], leg[1], step_secs, self.scales)
-                .map_err(|e| Failure {
-                    refusal: Refusal::new(
-                        ErrorCode::JointLimit,
-                        format!("on the way to the first point: {e}"),
-                    ),
-                    stage: 4,
-                    excess: 1.0,
-                })?
-                .trajectory;
-            whole = Some(match whole {
-                None => leg,
-                Some(mut before) => {
-                    // A leg begins one step after the one before has ended.
-                    let end = before.times_secs.last().copied().unwrap_or_default();
-                    before.times_secs.extend(leg.times_secs.iter().map(|time| end + time));
-                    before.positions.extend(leg.positions);
-                    before.velocities.extend(leg.velocities);
-                    before.accelerations.extend(leg.accelerations);
-                    before
-                }
-            });
-        }
-        Ok(whole.expect("a way has two ends"))
-    }
-
     /// The smallest distance between what must stay apart at the points (m), NaN where nothing must; it is
     /// looked at between the points, too, and from the start on.
     fn check_clearance(&self, robot: &Robot, whole: &JointTrajectory) -> Result<f64, Failure> {
@@ -493,82 +416,6 @@ fn end_times(model: &ServedModel, motion: &Motion) -> [f64; 2] {
         let needed = (speed / EASE_M_PER_S2).max(turning / EASE_RAD_PER_S2);
         needed.min(MOST_EASE * motion.duration_secs)
     })
-}
-
-/// Where an arm is whose tip is higher by so much (m), reached without a jump; nothing where it can't be.
-fn lifted(robot: &Robot, q: &[f64], height_m: f64) -> Option<Vec<f64>> {
-    const STEPS: usize = 10;
-    const STEP_SECS: f64 = 0.2;
-    let tip = robot.chain.forward(q);
-    let poses: Vec<_> = (0..=STEPS)
-        .map(|i| {
-            let mut pose = tip;
-            pose.translation.z += height_m * i as f64 / STEPS as f64;
-            pose
-        })
-        .collect();
-    let options = FollowOptions { start: Some(q.to_vec()), starts: 1, ..FollowOptions::default() };
-    let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
-    let followed = follow(&robot.chain, &poses, STEP_SECS, &options, &mut rng).ok()?;
-    let near = followed.positions[0].iter().zip(q).all(|(a, b)| (a - b).abs() < 0.05);
-    near.then(|| followed.positions[STEPS].clone())
-}
-
-/// Configurations to go by on the way from one to another, the likelier ones first: up and over, and then any,
-/// by the time that they cost.
-fn detours<'a>(
-    robot: &'a Robot,
-    from: &'a [f64],
-    to: &'a [f64],
-) -> impl Iterator<Item = Vec<Vec<f64>>> + 'a {
-    let over = DETOURS_M.into_iter().flat_map(move |height| {
-        let above = lifted(robot, to, height);
-        let risen = lifted(robot, from, height);
-        let both = risen.zip(above.clone()).map(|(risen, above)| vec![risen, above]);
-        above.map(|above| vec![above]).into_iter().chain(both)
-    });
-    let around = std::iter::once(()).flat_map(move |()| {
-        let joints = robot.chain.joints();
-        let secs = |a: &[f64], b: &[f64]| {
-            let pairs = a.iter().zip(b).zip(joints);
-            pairs.map(|((a, b), joint)| (a - b).abs() / joint.velocity).fold(0.0, f64::max)
-        };
-        let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
-        let drawn = (0..DETOUR_DRAWS).map(|_| robot.chain.draw(&mut rng));
-        let mut drawn: Vec<_> = drawn.filter(|q| is_clear(robot, q)).collect();
-        drawn.sort_by(|a, b| {
-            let [a, b] = [a, b].map(|q| secs(from, q) + secs(q, to));
-            a.total_cmp(&b)
-        });
-        drawn.truncate(MOST_DETOURS);
-        drawn.into_iter().map(|q| vec![q])
-    });
-    over.chain(around)
-}
-
-fn is_clear(robot: &Robot, q: &[f64]) -> bool {
-    robot.hull.nearest_within(&robot.chain, std::iter::once(q), robot.clearance_m).is_none()
-}
-
-/// What comes too near along a trajectory, at its points or between them, or on the way from its start.
-fn touching(
-    robot: &Robot,
-    start: Option<&Vec<f64>>,
-    trajectory: &JointTrajectory,
-) -> Option<Nearest> {
-    let Robot { chain, hull, clearance_m, .. } = robot;
-    let share = |i: usize| i as f64 / (BETWEEN + 1) as f64;
-    let first = &trajectory.positions[0];
-    let mut between: Vec<Vec<f64>> = Vec::new();
-    if let Some(start) = start {
-        let at = |i| start.iter().zip(first).map(|(a, b)| a + share(i) * (b - a)).collect();
-        between.extend((0..=BETWEEN).map(at));
-    }
-    for k in 1..trajectory.positions.len() {
-        between.extend((1..=BETWEEN).map(|i| trajectory.between(k - 1, share(i))));
-    }
-    let all = trajectory.positions.iter().chain(&between).map(Vec::as_slice);
-    hull.nearest_within(chain, all, *clearance_m)
 }
 
 fn check_start(robot: &Robot, start: &[f64], first: &[f64], tolerance: f64) -> Result<(), Failure> {
