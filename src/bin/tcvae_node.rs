@@ -72,7 +72,11 @@ impl Loader for Files {
                 UrdfError::Parse(_) => ErrorCode::BadFile,
                 _ => ErrorCode::RobotMismatch,
             };
-            Refusal::new(code, format!("{file}: {e}"))
+            let hint = match urdf_path.as_str() {
+                "" => "; give the robot that the model was made for by --robot or --urdf",
+                _ => "",
+            };
+            Refusal::new(code, format!("{file}: {e}{hint}"))
         })?;
         Robot::new(arm, &rules)
             .map_err(|e| Refusal::new(ErrorCode::RobotMismatch, format!("{file}: {e}")))
