@@ -44,7 +44,7 @@ pub(super) fn way_there(
         Refusal::new(ErrorCode::JointLimit, format!("on the way to the first point: {e}"))
     })?;
     let Some(touches) = touching(robot, Some(from), &direct) else { return Ok(Some(direct)) };
-    if is_clear(robot, from) {
+    if robot.is_clear(from) {
         for between in detours(robot, from, to) {
             let between = between.iter().map(Vec::as_slice);
             let way: Vec<_> = [from].into_iter().chain(between).chain([to.as_slice()]).collect();
@@ -127,7 +127,7 @@ fn detours<'a>(
         };
         let mut rng = ChaCha8Rng::seed_from_u64(SEED);
         let drawn = (0..DETOUR_DRAWS).map(|_| robot.chain.draw(&mut rng));
-        let mut drawn: Vec<_> = drawn.filter(|q| is_clear(robot, q)).collect();
+        let mut drawn: Vec<_> = drawn.filter(|q| robot.is_clear(q)).collect();
         drawn.sort_by(|a, b| {
             let [a, b] = [a, b].map(|q| secs(from, q) + secs(q, to));
             a.total_cmp(&b)
@@ -136,11 +136,6 @@ fn detours<'a>(
         drawn.into_iter().map(|q| vec![q])
     });
     over.chain(around)
-}
-
-/// Whether nothing comes too near to anything.
-pub(super) fn is_clear(robot: &Robot, q: &[f64]) -> bool {
-    robot.hull.nearest_within(&robot.chain, std::iter::once(q), robot.clearance_m).is_none()
 }
 
 /// What comes too near along a trajectory, at its points or between them, or on the way from its start.

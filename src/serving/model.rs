@@ -78,6 +78,14 @@ impl Robot {
         Ok(Self { name, chain, hull, clearance_m: rules.clearance_m, unmodelled })
     }
 
+    /// Whether nothing comes too near to anything at `q`.
+    ///
+    /// # Panics
+    /// When `q` has not one value per joint.
+    pub fn is_clear(&self, q: &[f64]) -> bool {
+        self.hull.nearest_within(&self.chain, std::iter::once(q), self.clearance_m).is_none()
+    }
+
     /// What keeps the arm from touching what, in a line for people.
     pub fn clearance(&self) -> String {
         const MOST_NAMES: usize = 4;

@@ -14,7 +14,7 @@ use crate::kinematics::inverse::{InverseOptions, solve};
 use crate::kinematics::timing::{Overshoot, Scales, Timed, eased, time};
 use crate::parameters::{MannerParameters, TaskParameters};
 use crate::primitive::Generated;
-use crate::serving::approach::{is_clear, touching, way_there};
+use crate::serving::approach::{touching, way_there};
 use crate::serving::{ErrorCode, GivenLocation, Refusal, Robot, Sample, ServedModel};
 use crate::trajectory::{EndEffectorTrajectory, JointTrajectory, Motion};
 
@@ -202,7 +202,7 @@ impl Order {
             (0..FEASIBLE_STARTS).any(|_| {
                 let found = solve(chain, pose, &seed, &InverseOptions::default(), &mut rng);
                 let Ok(found) = found else { return false };
-                let clear = is_clear(robot, &found.positions);
+                let clear = robot.is_clear(&found.positions);
                 seed = match clear {
                     true => found.positions,
                     false => chain.draw(&mut rng),

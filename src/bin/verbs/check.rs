@@ -1,6 +1,7 @@
 //! `tcvae check`: what a server makes of requests over the whole trained region.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -12,6 +13,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use tcvae::artifact::Artifact;
+use tcvae::kinematics::Joint;
 use tcvae::parameters::Interval;
 use tcvae::report::{Asked, Outcome, requests_svg};
 use tcvae::serving::{
@@ -23,6 +25,8 @@ use super::{ExitStatus, UsageError, print_json, print_line, server, write_whole,
 
 /// Requests that are timed one after the other, before the rest is worked out on all cores.
 const TIMED: usize = 300;
+/// Requests whose samples are in memory at the same time.
+const AT_ONCE: usize = 1000;
 /// Draws of a task until one lies among those that were trained on, and of a start until it is clear.
 const MOST_DRAWS: usize = 10_000;
 
@@ -68,10 +72,41 @@ struct Checked {
     outcome: Outcome,
     /// The code of its refusal.
     refused: Option<ErrorCode>,
-    sample: Option<Box<Sample>>,
+    sample: Option<Measured>,
+    /// The line that is written of it, until it is.
+    line: Option<Vec<u8>>,
     /// What the sample breaks after all.
     violations: Vec<String>,
     millis: f64,
+}
+
+/// What is kept of a sample.
+struct Measured {
+    task_error: f64,
+    position_error: f64,
+    orientation_error: f64,
+    joint_margin: f64,
+    min_clearance: f64,
+    slowdown: f64,
+    /// The fastest joint's speed, as a share of its limit.
+    speed_share: f64,
+    tries: f64,
+}
+
+impl Measured {
+    fn new(sample: &Sample, joints: &[Joint]) -> Self {
+        let speeds = sample.joint_trajectory.velocities.iter().flat_map(|v| v.iter().zip(joints));
+        Self {
+            task_error: sample.task_error,
+            position_error: sample.position_error,
+            orientation_error: sample.orientation_error,
+            joint_margin: sample.joint_margin,
+            min_clearance: sample.min_clearance,
+            slowdown: sample.slowdown,
+            speed_share: speeds.map(|(v, joint)| v.abs() / joint.velocity).fold(0.0, f64::max),
+            tries: f64::from(sample.tries),
+        }
+    }
 }
 
 pub(crate) fn run(args: CheckArgs) -> anyhow::Result<ExitStatus> {
@@ -88,21 +123,30 @@ pub(crate) fn run(args: CheckArgs) -> anyhow::Result<ExitStatus> {
     let server = server(&artifact, args.robot.as_deref(), Settings::default())?;
     let requests = requests(&args, &server)?;
     let timed = requests.len().min(TIMED);
-    let mut checked: Vec<Checked> = requests[..timed].iter().map(|r| check(&server, r)).collect();
-    let millis: Vec<f64> = checked.iter().map(|c| c.millis).collect();
-    checked.par_extend(requests[timed..].par_iter().map(|r| check(&server, r)));
-
-    if let Some(path) = &args.samples {
-        write_with(path, |file| {
-            for checked in &checked {
-                if let Some(sample) = &checked.sample {
-                    serde_json::to_writer(&mut *file, &line(&server, &checked.request, sample))?;
-                    file.write_all(b"\n")?;
+    let mut checked = Vec::new();
+    let mut check_all = |mut file: Option<&mut dyn Write>| -> anyhow::Result<()> {
+        let with_line = file.is_some();
+        let (first, rest) = requests.split_at(timed);
+        let first = first.iter().map(|request| check(&server, request, with_line)).collect();
+        let at_once = |some: &[SampleRequest]| -> Vec<_> {
+            some.par_iter().map(|request| check(&server, request, with_line)).collect()
+        };
+        for mut some in std::iter::once(first).chain(rest.chunks(AT_ONCE).map(at_once)) {
+            let lines = some.iter_mut().filter_map(|checked: &mut Checked| checked.line.take());
+            if let Some(file) = &mut file {
+                for line in lines {
+                    file.write_all(&line)?;
                 }
             }
-            Ok(())
-        })?;
+            checked.extend(some);
+        }
+        Ok(())
+    };
+    match &args.samples {
+        Some(path) => write_with(path, |file| check_all(Some(file)))?,
+        None => check_all(None)?,
     }
+    let millis: Vec<f64> = checked[..timed].iter().map(|c| c.millis).collect();
     if let Some(path) = &args.plot {
         let locations = server.model().space().locations();
         let names: Vec<_> = locations.iter().map(|l| l.name.clone()).collect();
@@ -166,11 +210,7 @@ fn requests(args: &CheckArgs, server: &PrimitiveServer) -> anyhow::Result<Vec<Sa
 /// A configuration in which the arm may stand.
 fn anywhere(server: &PrimitiveServer, rng: &mut ChaCha8Rng) -> anyhow::Result<Vec<f64>> {
     let robot = server.robot();
-    let clear = |q: &Vec<f64>| {
-        let at = std::iter::once(q.as_slice());
-        robot.hull.nearest_within(&robot.chain, at, robot.clearance_m).is_none()
-    };
-    (0..MOST_DRAWS).map(|_| robot.chain.draw(rng)).find(clear).with_context(|| {
+    (0..MOST_DRAWS).map(|_| robot.chain.draw(rng)).find(|q| robot.is_clear(q)).with_context(|| {
         format!(
             "in none of {MOST_DRAWS} configurations {} is clear of itself and the table",
             robot.name
@@ -189,12 +229,12 @@ fn task(server: &PrimitiveServer, beyond_m: f64, rng: &mut ChaCha8Rng) -> Vec<Gi
     locations.iter().map(at).collect()
 }
 
-fn check(server: &PrimitiveServer, request: &SampleRequest) -> Checked {
+fn check(server: &PrimitiveServer, request: &SampleRequest, with_line: bool) -> Checked {
     let start = Instant::now();
     let reply = server.sample(request, 0.0);
     let millis = 1e3 * start.elapsed().as_secs_f64();
     let refused = reply.refusal.map(|refusal| refusal.code);
-    let sample = reply.samples.into_iter().next().map(Box::new);
+    let sample = reply.samples.first();
     let familiar = server.is_familiar(request, 0.0).unwrap_or(false);
     let outcome = if sample.is_some() {
         Outcome::Served
@@ -205,8 +245,16 @@ fn check(server: &PrimitiveServer, request: &SampleRequest) -> Checked {
     } else {
         Outcome::OutOfReach
     };
-    let violations = sample.as_ref().map_or(Vec::new(), |s| violations(server, request, s));
-    Checked { request: request.clone(), familiar, outcome, refused, sample, violations, millis }
+    Checked {
+        request: request.clone(),
+        familiar,
+        outcome,
+        refused,
+        sample: sample.map(|s| Measured::new(s, server.robot().chain.joints())),
+        line: sample.filter(|_| with_line).map(|s| line(server, request, s)),
+        violations: sample.map_or(Vec::new(), |s| violations(server, request, s)),
+        millis,
+    }
 }
 
 /// What a sample breaks, judged by what it says of itself alone.
@@ -264,11 +312,11 @@ fn violations(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample
 }
 
 /// What tests/verify reads.
-fn line(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample) -> Value {
+fn line(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample) -> Vec<u8> {
     let settings = server.settings();
     let task: BTreeMap<_, _> = request.task.iter().map(|l| (&l.name, l.xy)).collect();
     let start: BTreeMap<_, _> = request.start.iter().map(|(name, q)| (name, q)).collect();
-    json!({
+    let line = json!({
         "request": {
             "task": task,
             "tolerance_m": settings.tolerance_m,
@@ -277,7 +325,8 @@ fn line(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample) -> V
             "start": if start.is_empty() { Value::Null } else { json!(start) },
         },
         "sample": sample_json(sample),
-    })
+    });
+    (line.to_string() + "\n").into_bytes()
 }
 
 fn answer(
@@ -296,17 +345,11 @@ fn answer(
     for code in checked.iter().filter_map(|c| c.refused) {
         *refused.entry(code.name()).or_default() += 1;
     }
-    let samples = || checked.iter().filter_map(|c| c.sample.as_deref());
-    let least = |of: fn(&Sample) -> f64| samples().map(of).fold(f64::INFINITY, f64::min);
-    let most = |of: fn(&Sample) -> f64| samples().map(of).fold(f64::NEG_INFINITY, f64::max);
-    let joints = server.robot().chain.joints();
-    let speed =
-        samples().flat_map(|s| s.joint_trajectory.velocities.iter()).fold(0.0, |most, v| {
-            let shares = v.iter().zip(joints).map(|(v, joint)| v.abs() / joint.velocity);
-            shares.fold(most, f64::max)
-        });
+    let samples = || checked.iter().filter_map(|c| c.sample.as_ref());
+    let least = |of: fn(&Measured) -> f64| samples().map(of).fold(f64::INFINITY, f64::min);
+    let most = |of: fn(&Measured) -> f64| samples().map(of).fold(f64::NEG_INFINITY, f64::max);
     let slowed = samples().filter(|s| s.slowdown > 1.0).count();
-    let tries: Vec<f64> = samples().map(|s| f64::from(s.tries)).collect();
+    let tries: Vec<f64> = samples().map(|s| s.tries).collect();
     let violations: Vec<_> = checked
         .iter()
         .filter(|c| !c.violations.is_empty())
@@ -335,10 +378,10 @@ fn answer(
             "orientation_error_rad": finite(most(|s| s.orientation_error)),
             "joint_margin_rad": finite(least(|s| s.joint_margin)),
             "clearance_m": finite(least(|s| s.min_clearance)),
-            "speed_share": finite(speed),
+            "speed_share": finite(most(|s| s.speed_share)),
             "slowdown": finite(most(|s| s.slowdown)),
         },
-        "slowed_fraction": if samples().count() == 0 { Value::Null } else { json!(slowed as f64 / samples().count() as f64) },
+        "slowed_fraction": finite(slowed as f64 / tries.len() as f64),
         "tries": {
             "mean": finite(tries.iter().sum::<f64>() / tries.len() as f64),
             "most": finite(tries.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
