@@ -33,7 +33,7 @@ use crate::evaluation::ModelEvaluation;
 use crate::kinematics::RobotRecord;
 use crate::model::{ModelConfig, ModelError, NamedTensor, Normalizer, TcVaePrimitive, Weights};
 use crate::parameters::{MannerSpace, TaskSpace};
-use crate::pose::{STATE_NAMES, StateFrame};
+use crate::pose::{DeviationScale, STATE_NAMES, StateFrame};
 use crate::primitive::MannerConditioned;
 use crate::primitives::Classical;
 use crate::serving::{Familiarity, ServedModel};
@@ -157,6 +157,10 @@ pub struct TcVaeDocument {
     pub latents: Vec<LatentStatistics>,
     /// Offsets and scales.
     pub normalizer: Normalizer,
+    /// What makes the decoder's deviations fit the validation part; none where states are no poses, and of
+    /// files that were written before it was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deviation_scale: Option<DeviationScale>,
 }
 
 /// What was learned.
@@ -315,6 +319,7 @@ impl Artifact {
             evaluation_json: serde_json::to_string(&document.evaluation)
                 .expect("an evaluation is JSON"),
             synthetic_data: document.data_source == DataSource::Synthetic,
+            mirrored: false,
             familiarity: Familiarity::new(tasks, &*primitive),
             primitive,
         })
@@ -333,7 +338,13 @@ impl Artifact {
     fn build(&self) -> Result<Box<dyn MannerConditioned + Send + Sync>, ModelError> {
         let ModelDocument { learned, task_space, .. } = &self.document;
         match learned {
-            Learned::TcVae(TcVaeDocument { model, normalizer, manner_space, .. }) => {
+            Learned::TcVae(TcVaeDocument {
+                model,
+                normalizer,
+                manner_space,
+                deviation_scale,
+                ..
+            }) => {
                 let (task_space, manner_space) = (task_space.clone(), manner_space.clone());
                 let primitive = TcVaePrimitive::new(
                     model,
@@ -342,7 +353,10 @@ impl Artifact {
                     task_space,
                     manner_space,
                 )?;
-                Ok(Box::new(primitive))
+                Ok(match deviation_scale {
+                    Some(scale) => Box::new(primitive.with_deviation_scale(*scale)?),
+                    None => Box::new(primitive),
+                })
             }
             Learned::Classical(classical) => Ok(Box::new(classical.clone())),
         }
@@ -579,6 +593,7 @@ mod tests {
                 task_offset: vec![0.5; 2],
                 task_scale: vec![0.29; 2],
             },
+            deviation_scale: None,
             model,
         });
         let tasks = [vec![0.25, 0.5], vec![0.75, 0.125]];

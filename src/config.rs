@@ -12,9 +12,9 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
 use crate::demonstrations::TaskConfig;
-use crate::demonstrations::recording::RobotConfig;
+use crate::demonstrations::recording::{Arm, RobotConfig};
 use crate::kinematics::{ArmDescription, Chain, Hull, JointLimits};
-use crate::serving::Robot;
+use crate::serving::{OtherArm, Robot};
 
 /// The Baxter description that is built in.
 pub const BAXTER_URDF: &str = include_str!("../config/baxter.urdf");
@@ -117,12 +117,17 @@ pub struct LoadedRobot {
 impl LoadedRobot {
     /// The robot as it is served.
     pub fn served(&self) -> Robot {
+        let other = |arm: &Arm| {
+            let (joint_names, signs) = (arm.joints.clone(), arm.mirror_signs.clone()?);
+            Some(OtherArm { joint_names, signs })
+        };
         Robot {
             name: self.config.name.clone(),
             chain: self.chain.clone(),
             hull: self.hull.clone(),
             clearance_m: self.config.collision.clearance_m,
             unmodelled: self.unmodelled.clone(),
+            mirrors: self.config.mirrored_arm.as_ref().and_then(other),
         }
     }
 }

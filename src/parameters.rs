@@ -72,6 +72,11 @@ impl Interval {
     pub fn contains(&self, value: f64) -> bool {
         (self.lower..=self.upper).contains(&value)
     }
+
+    /// The interval of the values with the other sign.
+    pub fn mirrored(self) -> Self {
+        Self { lower: -self.upper, upper: -self.lower }
+    }
 }
 
 /// One location of the task: a named point in the plane, `(x, y)` in the base frame.
@@ -144,6 +149,12 @@ impl TaskSpace {
         self.locations.iter().flat_map(|l| [l.x, l.y]).collect()
     }
 
+    /// The space mirrored in the xz plane.
+    pub fn mirrored(&self) -> Self {
+        let mirrored = |l: &TaskLocation| TaskLocation { y: l.y.mirrored(), ..l.clone() };
+        Self { unit: self.unit.clone(), locations: self.locations.iter().map(mirrored).collect() }
+    }
+
     /// Distance between two task parameters: the largest over the locations, in the space's unit.
     pub fn distance(&self, a: &TaskParameters, b: &TaskParameters) -> f64 {
         let pairs = a.values().chunks(2).zip(b.values().chunks(2));
@@ -174,6 +185,11 @@ impl TaskParameters {
     /// `(x, y)` of the location at `index` of the space.
     pub fn location(&self, index: usize) -> [f64; 2] {
         [self.0[2 * index], self.0[2 * index + 1]]
+    }
+
+    /// The task mirrored in the xz plane.
+    pub fn mirrored(&self) -> Self {
+        Self(self.0.chunks(2).flat_map(|xy| [xy[0], -xy[1]]).collect())
     }
 }
 

@@ -8,6 +8,7 @@
 use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::trajectory::Trajectory;
 
@@ -39,6 +40,12 @@ impl StateFrame {
             Translation3::new(state[0], state[1], state[2]),
             self.reference * rotation,
         )
+    }
+
+    /// The frame of states that are mirrored by [`mirrored_states`].
+    pub fn mirrored(&self) -> Self {
+        let turned = Isometry3::from_parts(Translation3::identity(), self.reference);
+        Self { reference: mirrored(&turned).rotation }
     }
 
     /// The states of poses that follow each other, unwrapped.
@@ -81,6 +88,57 @@ fn nearest_equivalent(r: Vector3<f64>, previous: Vector3<f64>) -> Vector3<f64> {
     };
     let turns = ((previous.dot(&axis) - angle) / TAU).round();
     r + axis * (turns * TAU)
+}
+
+/// Radius of the ball that holds 95 % of a normal distribution in three dimensions, in standard deviations of one
+/// of them: the root of the .95 quantile of chi squared with three degrees of freedom.
+pub const BAND_STDDEVS: f64 = 2.795_483_482_915_108;
+
+/// Standard deviation of the position (m) along an axis, of a state's standard deviations: the root of the mean
+/// variance.
+pub fn position_stddev(stddev: &[f64]) -> f64 {
+    root_mean_square(&stddev[..3])
+}
+
+/// Standard deviation of the rotation vector (rad), likewise.
+pub fn orientation_stddev(stddev: &[f64]) -> f64 {
+    root_mean_square(&stddev[3..STATE_DIM])
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// What predicted standard deviations of a pose's state are multiplied by.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviationScale {
+    /// Of the position.
+    pub position: f64,
+    /// Of the rotation vector.
+    pub orientation: f64,
+}
+
+impl DeviationScale {
+    /// Whether both are numbers above 0.
+    pub fn is_positive(&self) -> bool {
+        [self.position, self.orientation].iter().all(|s| s.is_finite() && *s > 0.0)
+    }
+
+    /// The deviations, scaled.
+    ///
+    /// # Panics
+    /// For other states than those of poses.
+    pub fn scaled(&self, stddev: &Trajectory) -> Trajectory {
+        let Self { position: p, orientation: o } = *self;
+        scaled_states(stddev, [p, p, p, o, o, o])
+    }
+}
+
+fn scaled_states(states: &Trajectory, factors: [f64; STATE_DIM]) -> Trajectory {
+    assert_eq!(states.dim(), STATE_DIM, "states of poses");
+    let values = states.states().flat_map(|state| state.iter().zip(factors).map(|(v, f)| v * f));
+    Trajectory::new(STATE_DIM, values.collect()).expect("finite factors")
 }
 
 /// Values of a pose's state as a turn: the position, what the angle leaves of the turn, the angle.
@@ -211,6 +269,15 @@ pub fn mirrored(base_from_tip: &Isometry3<f64>) -> Isometry3<f64> {
     )
 }
 
+/// States mirrored in the xz plane: those of the mirrored poses in the mirrored frame, since
+/// `M exp(r) M = exp(-M r)`.
+///
+/// # Panics
+/// For other states than those of poses.
+pub fn mirrored_states(states: &Trajectory) -> Trajectory {
+    scaled_states(states, [1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -239,6 +306,22 @@ mod tests {
             let mirror = mirrored(&pose);
             prop_assert!((mirror.rotation.to_rotation_matrix().matrix() - expected).norm() < 1e-12);
             prop_assert!((mirrored(&mirror).to_homogeneous() - pose.to_homogeneous()).norm() < 1e-12);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn mirrored_states_are_those_of_the_mirrored_poses(
+            poses in proptest::collection::vec(pose(), 2..9), reference in pose()
+        ) {
+            let frame = StateFrame { reference: reference.rotation };
+            let states = frame.trajectory(&poses);
+            let back = frame.mirrored().poses(&mirrored_states(&states));
+            for (back, pose) in back.iter().zip(&poses) {
+                let difference = back.to_homogeneous() - mirrored(pose).to_homogeneous();
+                prop_assert!(difference.norm() < 1e-9, "{}", difference);
+            }
+            prop_assert_eq!(mirrored_states(&mirrored_states(&states)), states);
         }
     }
 

@@ -4,9 +4,12 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use proptest::prelude::*;
 use rand::rngs::ChaCha8Rng;
 use rand::{Rng, RngExt, SeedableRng};
 use tcvae::demonstrations::Demonstration;
+use tcvae::demonstrations::TaskConfig;
+use tcvae::demonstrations::manipulation::ManipulationTask;
 use tcvae::demonstrations::pouring;
 use tcvae::kinematics::{Chain, RobotRecord};
 use tcvae::parameters::{
@@ -119,6 +122,7 @@ fn model(offset_m: f64) -> ServedModel {
         robot: RobotRecord::new("baxter", &baxter(), String::new()),
         evaluation_json: "null".into(),
         synthetic_data: true,
+        mirrored: false,
         familiarity,
     }
 }
@@ -179,6 +183,74 @@ fn check_controller_rules(trajectory: &JointTrajectory, chain: &Chain, velocity_
             }
         }
     }
+}
+
+fn root(file: &str) -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(file)
+}
+
+fn right_arm() -> tcvae::config::LoadedRobot {
+    let file = root("config/robots/baxter-right.toml");
+    tcvae::config::robot(Some(&file), tcvae::urdf::arm).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(20))]
+    #[test]
+    fn a_mirrored_request_is_the_mirrored_motion_of_the_other_arm(
+        x in 0.6..0.7f64, y in 0.2..0.4f64, manner in proptest::array::uniform2(-1.0..1.0f64)
+    ) {
+        let names = || vec!["h1".to_owned(), "h2".to_owned()];
+        let asked = |side: f64| SampleRequest {
+            manner_names: names(),
+            manner_values: manner.to_vec(),
+            task: pour_at(x, y).task.into_iter().map(|l| GivenLocation { xy: [l.xy[0], side * l.xy[1]], ..l }).collect(),
+            ..SampleRequest::default()
+        };
+        let robot = Arc::new(right_arm().served());
+        let right = PrimitiveServer::new(Arc::new(model(0.0)), robot, Settings::default()).unwrap();
+        prop_assert!(right.model().mirrored && right.describe().mirrored);
+        let [shown, mirror] = [one(&server(), &asked(1.0)), one(&right, &asked(-1.0))];
+        check_controller_rules(&mirror.joint_trajectory, &right.robot().chain, 1.0);
+        prop_assert_eq!(&mirror.manner_values, &shown.manner_values);
+        prop_assert!((mirror.slowdown - 1.0).abs() < 1e-9 && (shown.slowdown - 1.0).abs() < 1e-9);
+        let poses = |s: &Sample| s.end_effector_trajectory.base_from_tip.clone();
+        for (a, b) in poses(&shown).iter().zip(poses(&mirror)) {
+            let a = tcvae::pose::mirrored(a);
+            // Each follows its own path as well as the inverse kinematics does.
+            prop_assert!((a.translation.vector - b.translation.vector).norm() < 1e-3);
+            prop_assert!(a.rotation.angle_to(&b.rotation) < 1e-2);
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_is_no_mirror_image_serves_no_model_of_the_other() {
+    let refused = |change: fn(&mut tcvae::serving::Robot, &mut ServedModel)| {
+        let (mut robot, mut model) = (right_arm().served(), model(0.0));
+        change(&mut robot, &mut model);
+        let server = PrimitiveServer::new(Arc::new(model), Arc::new(robot), Settings::default());
+        server.unwrap_err()
+    };
+    let nobody_says_so = refused(|robot, _| robot.mirrors = None);
+    let other_signs = refused(|robot, _| {
+        if let Some(other) = &mut robot.mirrors {
+            other.signs[2] = 1.0;
+        }
+    });
+    let one_sided = refused(|_, model| {
+        let symmetry = tcvae::demonstrations::manipulation::Symmetry::None;
+        model.task = Box::new(ManipulationTask { symmetry, ..pouring::task() });
+    });
+    for refusal in [nobody_says_so, other_signs, one_sided] {
+        assert_eq!(refusal.code, ErrorCode::RobotMismatch, "{refusal}");
+    }
+}
+
+#[test]
+fn the_task_of_the_right_arm_is_the_mirror_image_of_the_left_ones() {
+    let task = tcvae::config::task(&root("config/tasks/pour-right.toml")).unwrap();
+    assert_eq!(task, TaskConfig::Manipulation(pouring::task().mirrored().unwrap()));
 }
 
 #[test]
@@ -457,6 +529,47 @@ fn a_smaller_scale_slows_the_motion_down_by_one_factor_and_moves_nothing() {
     for (s, f) in slow.joint_trajectory.times_secs.iter().zip(&fast.joint_trajectory.times_secs) {
         assert!((s / f - ratio).abs() < 1e-9);
     }
+}
+
+#[test]
+fn a_speed_makes_the_motion_faster_or_slower_and_moves_nothing() {
+    let server = server();
+    let learned = one(&server, &request());
+    for speed in [0.5, 1.2] {
+        let sample = one(&server, &SampleRequest { speed, ..request() });
+        check_controller_rules(&sample.joint_trajectory, &server.robot().chain, 1.0);
+        assert_eq!(sample.slowdown, 1.0);
+        assert_eq!(sample.joint_trajectory.positions, learned.joint_trajectory.positions);
+        let times = sample.joint_trajectory.times_secs.iter();
+        for (s, l) in times.zip(&learned.joint_trajectory.times_secs) {
+            assert!((l / s - speed).abs() < 1e-9);
+        }
+    }
+    let mut set = server.clone();
+    set.set_settings(Settings { speed: 0.5, ..Settings::default() }).unwrap();
+    let slow = one(&server, &SampleRequest { speed: 0.5, ..request() });
+    assert_eq!(one(&set, &request()).joint_trajectory, slow.joint_trajectory);
+}
+
+#[test]
+fn a_motion_that_limits_hold_back_is_as_fast_as_they_allow() {
+    let server = server();
+    let request = SampleRequest { speed: 1.2, velocity_scale: 0.2, ..request() };
+    let sample = one(&server, &request);
+    check_controller_rules(&sample.joint_trajectory, &server.robot().chain, 0.2);
+    let alone = one(&server, &SampleRequest { speed: 1.0, ..request });
+    // The same motion in the end, told in other factors.
+    assert!((sample.slowdown / alone.slowdown - 1.2).abs() < 1e-9, "{}", sample.slowdown);
+}
+
+#[test]
+fn a_speed_beyond_what_the_task_allows_is_refused() {
+    let (code, message) = refusal(&server(), &SampleRequest { speed: 4.0, ..request() });
+    assert_eq!(code, ErrorCode::InvalidMotion);
+    assert!(message.contains("max_turn_deg_per_s"), "{message}");
+    let (code, message) = refusal(&server(), &SampleRequest { speed: 5.0, ..request() });
+    assert_eq!(code, ErrorCode::BadRequest);
+    assert!(message.contains("[0.1, 4]"), "{message}");
 }
 
 #[test]

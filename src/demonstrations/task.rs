@@ -31,6 +31,13 @@ pub struct Violation {
     pub unit: &'static str,
 }
 
+impl Violation {
+    /// Whether it is about how fast something is, and not about when or where.
+    pub fn is_rate(&self) -> bool {
+        self.unit.contains("/s")
+    }
+}
+
 impl std::fmt::Display for Violation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { bound, value, limit, unit } = self;
@@ -77,6 +84,11 @@ pub trait Task: std::fmt::Debug + Send + Sync {
     fn events(&self, motion: &Motion) -> Vec<f64> {
         let _ = motion;
         Vec::new()
+    }
+
+    /// The task as its mirror image in the xz plane shows it; none where it is not the same then.
+    fn mirrored(&self) -> Option<Box<dyn Task>> {
+        None
     }
 
     /// Manner factors of the motion, always the same ones in the same order; empty where the motion

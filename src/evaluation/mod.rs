@@ -1,6 +1,7 @@
 //! How good a model is: SUCCESS (eq. 15), ROBUSTNESS (eq. 16), and beside them the measures
 //! without which neither means anything: active latents, reconstruction error, leak, validity.
 
+mod calibration;
 pub mod comparison;
 pub mod disentanglement;
 pub mod intervals;
@@ -10,6 +11,7 @@ pub mod manner;
 mod oracles;
 mod primitive;
 
+pub use calibration::{Calibration, deviation_scale};
 pub use primitive::{PrimitiveEvaluation, evaluate_primitive, evaluate_primitive_cases};
 
 use std::collections::BTreeMap;
@@ -23,8 +25,9 @@ use serde::{Deserialize, Serialize};
 use crate::demonstrations::{Demonstration, Splits, Task};
 use crate::model::{Posterior, Recognition};
 use crate::parameters::{MannerParameters, TaskParameters};
-use crate::primitive::{Generated, MannerConditioned, MovementPrimitive};
+use crate::primitive::{MannerConditioned, MovementPrimitive};
 use crate::trajectory::{Motion, Trajectory};
+use calibration::Standardised;
 use disentanglement::{Cases, Disentanglement, disentanglement};
 use intervals::Share;
 use leak::Encodings;
@@ -122,21 +125,6 @@ impl ModelEvaluation {
             Self::TcVae(_) => None,
         }
     }
-}
-
-/// How well predicted deviations fit errors: those of the reconstructions from the posterior means,
-/// over all steps and state values.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Calibration {
-    /// Share of the errors within one predicted deviation; .683 where they are normal and the
-    /// prediction is right.
-    pub within_one: f64,
-    /// Share within 1.96 predicted deviations; .95 likewise.
-    pub within_two: f64,
-    /// Root mean square of the errors in predicted deviations; 1 likewise, above 1 where the model
-    /// is surer than it should be.
-    pub rms: f64,
 }
 
 /// How robust samples are under another prior.
@@ -273,9 +261,7 @@ where
         rng
     };
     let cases = &splits.test;
-    let posteriors = recognition.recognise(cases);
-    assert_eq!(posteriors.len(), cases.len(), "one posterior for each demonstration");
-    let manners: Vec<MannerParameters> = posteriors.iter().map(|p| model.manner(&p.mean)).collect();
+    let manners = manners(model, recognition, cases);
     let decode =
         |w: &TaskParameters, h: &MannerParameters| model.decode(w, h).motion(*duration_secs);
     let task_error = |w: &TaskParameters, motion: &Motion| match task.empirical_task(motion) {
@@ -285,10 +271,10 @@ where
 
     let mut reconstruction_errors = Vec::with_capacity(cases.len());
     let mut square_error = 0.0;
-    let mut standardised = Vec::new();
+    let mut standardised = Standardised::default();
     for (case, h) in cases.iter().zip(&manners) {
         let generated = model.decode(&case.w, h);
-        standardised.extend(standardised_errors(&generated, &case.motion.states));
+        standardised.add(&generated, &case.motion.states);
         let motion = generated.motion(*duration_secs);
         square_error += mean_square_difference(&motion.states, &case.motion.states);
         reconstruction_errors.push(task_error(&case.w, &motion));
@@ -369,7 +355,7 @@ where
         reconstruction_rmse: (square_error / cases.len() as f64).sqrt(),
         leak_r2: leak::leak_r2(&fit, &held_out, &mut rng),
         swap: share(&swap_errors, swap_threshold),
-        calibration: Some(calibration(&standardised)),
+        calibration: Some(standardised.calibration()),
         disentanglement: (cases.len() >= DISENTANGLEMENT_CASES)
             .then(|| disentangled(model, recognition, task, splits, &mut stream(6)))
             .flatten(),
@@ -449,23 +435,15 @@ fn mean_square_difference(decoded: &Trajectory, demonstrated: &Trajectory) -> f6
     pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() / decoded.values().len() as f64
 }
 
-/// Errors of every value in units of its predicted deviation, the demonstration resampled to the
-/// model's steps.
-fn standardised_errors(generated: &Generated, demonstrated: &Trajectory) -> Vec<f64> {
-    let Generated { mean, stddev, duration_secs: _ } = generated;
-    let demonstrated = demonstrated.resampled(mean.steps());
-    let errors = mean.values().iter().zip(demonstrated.values()).map(|(a, b)| a - b);
-    errors.zip(stddev.values()).map(|(error, deviation)| error / deviation).collect()
-}
-
-fn calibration(standardised: &[f64]) -> Calibration {
-    let n = standardised.len() as f64;
-    let within = |limit: f64| standardised.iter().filter(|e| e.abs() <= limit).count() as f64 / n;
-    Calibration {
-        within_one: within(1.0),
-        within_two: within(1.96),
-        rms: (standardised.iter().map(|e| e * e).sum::<f64>() / n).sqrt(),
-    }
+/// Manner parameters of posterior means.
+fn manners<M, R>(model: &M, recognition: &R, cases: &[Demonstration]) -> Vec<MannerParameters>
+where
+    M: MannerConditioned + ?Sized,
+    R: Recognition + ?Sized,
+{
+    let posteriors = recognition.recognise(cases);
+    assert_eq!(posteriors.len(), cases.len(), "one posterior for each demonstration");
+    posteriors.iter().map(|p| model.manner(&p.mean)).collect()
 }
 
 /// Manner parameters of posterior means against the task's factors, forests fitted on the training

@@ -7,6 +7,7 @@ use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::{Chain, Joint};
+use crate::pose::mirrored;
 
 /// Configurations that a record stores.
 const CONFIGURATIONS: usize = 20;
@@ -92,6 +93,20 @@ impl RobotRecord {
             configurations,
             base_from_tip,
             urdf_sha256,
+        }
+    }
+
+    /// The record of the arm that is the mirror image in the xz plane: at `signs * q` it is where this one
+    /// is at `q`.
+    pub fn mirrored(&self, joint_names: Vec<String>, tip_frame: &str, signs: &[f64]) -> Self {
+        let signed = |q: &Vec<f64>| q.iter().zip(signs).map(|(q, sign)| q * sign).collect();
+        let pose = |values: &[f64; 7]| pose_values(&mirrored(&pose_of(values)));
+        Self {
+            tip_frame: tip_frame.into(),
+            joint_names,
+            configurations: self.configurations.iter().map(signed).collect(),
+            base_from_tip: self.base_from_tip.iter().map(pose).collect(),
+            ..self.clone()
         }
     }
 

@@ -10,7 +10,7 @@ use super::prior::LearnedPrior;
 use super::{ModelError, Weights};
 use crate::alignment::Alignment;
 use crate::parameters::{MannerParameters, MannerSpace, TaskParameters, TaskSpace};
-use crate::pose::{TURN_DIM, from_turns};
+use crate::pose::{DeviationScale, STATE_DIM, TURN_DIM, from_turns};
 use crate::primitive::{Generated, MannerConditioned, MovementPrimitive};
 use crate::trajectory::Trajectory;
 
@@ -29,6 +29,7 @@ pub struct TcVaePrimitive {
     units: Units,
     decoder: PackedDecoder,
     prior: Option<LearnedPrior>,
+    deviation_scale: Option<DeviationScale>,
     task_space: TaskSpace,
     manner_space: MannerSpace,
 }
@@ -61,8 +62,25 @@ impl TcVaePrimitive {
             0 => None,
             k => Some(LearnedPrior::from_weights(config.network.latents, k, weights)?),
         };
-        let primitive = Self { units, decoder, prior, task_space, manner_space };
+        let primitive =
+            Self { units, decoder, prior, deviation_scale: None, task_space, manner_space };
         if primitive.decodes_to_numbers() { Ok(primitive) } else { Err(ModelError::NotFinite) }
+    }
+
+    /// The primitive with its deviations scaled by this.
+    ///
+    /// # Errors
+    /// Factors that are not above 0; states that are no poses.
+    pub fn with_deviation_scale(self, scale: DeviationScale) -> Result<Self, ModelError> {
+        if !scale.is_positive() {
+            let (name, found) = ("deviation_scale", vec![scale.position, scale.orientation]);
+            return Err(ModelError::Normalizer { name, found, expected: 2 });
+        }
+        let (name, found, expected) = ("pose", STATE_DIM, self.state_dim());
+        if found != expected {
+            return Err(ModelError::Space { name, found, expected });
+        }
+        Ok(Self { deviation_scale: Some(scale), ..self })
     }
 
     /// Whether the decoder stays finite in the middle of the tasks, at the prior's mean and at the ends
@@ -163,6 +181,9 @@ impl TcVaePrimitive {
             let (constants, of_constants) = (constants(&mean), constants(&stddev));
             let states = (&mean_states, &stddev_states);
             (mean_states, stddev_states) = from_turns(states, (&constants, &of_constants));
+        }
+        if let Some(scale) = &self.deviation_scale {
+            stddev_states = scale.scaled(&stddev_states);
         }
         Generated { mean: mean_states, stddev: stddev_states, duration_secs }
     }

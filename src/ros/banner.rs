@@ -50,9 +50,10 @@ impl Banner<'_> {
             true => "synthetic",
             false => "recorded",
         };
+        let mirrored = if description.mirrored { " of the other arm, mirrored" } else { "" };
         let mut text = format!(
             "tcvae {} serves {} as {names} in domain {} ({reach})\n  \
-             model   {} {} ({}), trained on {data} demonstrations\n  \
+             model   {} {} ({}), trained on {data} demonstrations{mirrored}\n  \
              robot   {} ({}), {} joints from {} to {}\n  \
              body    {}\n",
             env!("CARGO_PKG_VERSION"),
@@ -199,6 +200,7 @@ mod tests {
             robot: "baxter".into(),
             joint_names: vec!["left_s0".into(); 7],
             synthetic_data: true,
+            mirrored: true,
         };
         let rules = super::super::names::Remap {
             node: None,
@@ -224,7 +226,8 @@ mod tests {
         let text = text(EVALUATION);
         for expected in [
             "serves pouring as /left/tcvae in domain 0 (the whole subnet)",
-            "model   TC-VAE 0123456789ab (built in), trained on synthetic demonstrations",
+            "model   TC-VAE 0123456789ab (built in), trained on synthetic demonstrations of the other arm, \
+             mirrored",
             "robot   baxter (my.urdf), 7 joints from base to left_gripper",
             "body    9 shapes, 0.01 m off each other; no table",
             "scores  robustness 0.880 [0.860, 0.900] within 0.02 m",

@@ -104,6 +104,7 @@ impl Frames {
             start: start.name.into_iter().zip(start.position).collect(),
             velocity_scale,
             acceleration_scale,
+            speed: 0.0,
             rate_hz,
             rank_by,
             allow_out_of_distribution,
@@ -128,6 +129,7 @@ impl Frames {
             primitive_start_index,
             manner_names,
             manner_values,
+            task: _,
             empirical_task,
             task_error,
             position_error,
@@ -248,6 +250,7 @@ pub fn description(description: Description) -> tcvae_msgs::DescribePrimitiveRes
         robot,
         joint_names,
         synthetic_data,
+        mirrored: _,
     } = description;
     tcvae_msgs::DescribePrimitiveResponse {
         model_id,
@@ -275,6 +278,7 @@ pub fn model_info(description: &Description, frames: &Frames) -> String {
         "method": description.method,
         "synthetic_data": description.synthetic_data,
         "robot": description.robot,
+        "mirrored": description.mirrored,
         "base_frame": frames.base,
         "tip_link": frames.tip,
         "joint_names": description.joint_names,

@@ -7,6 +7,7 @@ pub mod convert;
 pub mod environment;
 pub mod lane;
 pub mod log;
+pub mod markers;
 pub mod messages;
 pub mod names;
 pub mod node;

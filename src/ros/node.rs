@@ -26,6 +26,7 @@ use super::convert::{self, Frames};
 use super::environment::Environment;
 use super::lane::Lane;
 use super::log::NodeLog;
+use super::markers::markers;
 use super::messages::builtin_interfaces::Time;
 use super::messages::geometry_msgs::{PointStamped, PoseStamped};
 use super::messages::nav_msgs::Path;
@@ -37,6 +38,7 @@ use super::messages::tcvae_msgs::{
     SampleTrajectoryResponse, SetMannerRequest, SetMannerResponse,
 };
 use super::messages::trajectory_msgs::{JointTrajectory, MultiDOFJointTrajectory};
+use super::messages::visualization_msgs::MarkerArray;
 use super::names::NodeNames;
 use super::parameters::{self, Parameter};
 use super::participant::{self, ParticipantError};
@@ -90,6 +92,7 @@ struct Shared {
     joint_trajectory: Publisher<JointTrajectory>,
     end_effector_trajectory: Publisher<MultiDOFJointTrajectory>,
     end_effector_path: Publisher<Path>,
+    markers: Publisher<MarkerArray>,
     model_info: Publisher<Text>,
     parameter_events: Publisher<raw::ParameterEvent>,
 }
@@ -164,6 +167,11 @@ impl RunningNode {
                 ("nav_msgs", "Path"),
                 latched(1),
             )?,
+            markers: wiring.publisher(
+                "~/markers",
+                ("visualization_msgs", "MarkerArray"),
+                latched(1),
+            )?,
             model_info: wiring.publisher("~/model_info", ("std_msgs", "String"), latched(1))?,
             parameter_events: wiring.publisher("/parameter_events", event, reliable(1000))?,
             wiring: Mutex::new(wiring),
@@ -187,6 +195,15 @@ impl RunningNode {
         )?;
         let weak = Arc::downgrade(&shared);
         tasks.spawn(each(joint_states, move |joints: JointState| {
+            if joints.name.len() != joints.position.len() {
+                // Velocities or efforts alone are no news of where the arm is; half a message is none at all.
+                log::debug!(
+                    "joint states of {} joints with {} positions say nothing",
+                    joints.name.len(),
+                    joints.position.len()
+                );
+                return;
+            }
             with(&weak, |shared| {
                 let named = joints.name.iter().map(String::as_str).zip(joints.position);
                 shared.state().server.set_joint_state(named, shared.now_secs());
@@ -479,6 +496,11 @@ impl Shared {
             lost.push(e.to_string());
         }
         if let Err(e) = self.end_effector_path.publish(self.frames.path(poses, stamp)) {
+            lost.push(e.to_string());
+        }
+        let tolerance_m = self.state().server.settings().tolerance_m;
+        let markers = markers(&self.frames, sample, tolerance_m, stamp);
+        if let Err(e) = self.markers.publish(markers) {
             lost.push(e.to_string());
         }
         if lost.is_empty() {

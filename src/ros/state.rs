@@ -8,7 +8,7 @@ use ros2_client::ParameterValue;
 
 use super::parameters::{Parameter, Range, find, suggestion};
 use crate::serving::{
-    ErrorCode, MannerMode, OutOfDistribution, PrimitiveServer, Refusal, Robot, ServedModel,
+    ErrorCode, MannerMode, OutOfDistribution, PrimitiveServer, Refusal, Robot, SPEEDS, ServedModel,
     Settings, StartPolicy,
 };
 
@@ -258,6 +258,12 @@ impl NodeState {
             P::Integer(settings.max_tries.into()),
         );
         add(
+            "sample.speed",
+            "How many times as fast as it was learned a motion is made, where the limits allow it",
+            Range::Double(SPEEDS[0], SPEEDS[1]),
+            P::Double(settings.speed),
+        );
+        add(
             "limits.velocity_scale",
             "Share of the joints' velocity limits that may be used",
             Range::Double(0.01, 1.0),
@@ -384,6 +390,7 @@ impl NodeState {
             ("sample.max_tries", P::Integer(value)) => {
                 settings.max_tries = u32::try_from(value).unwrap_or(u32::MAX);
             }
+            ("sample.speed", P::Double(value)) => settings.speed = value,
             ("limits.velocity_scale", P::Double(value)) => settings.velocity_scale = value,
             ("limits.acceleration_scale", P::Double(value)) => settings.acceleration_scale = value,
             ("start.tolerance_rad", P::Double(value)) => settings.start_tolerance_rad = value,

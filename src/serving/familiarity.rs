@@ -27,6 +27,13 @@ impl Familiarity {
         Self { manner: MannerFamiliarity::new(draws), tasks: TaskFamiliarity::new(training_tasks) }
     }
 
+    /// The same of the tasks mirrored in the xz plane.
+    pub(super) fn mirrored(&self) -> Self {
+        let mirrored = |w: &Vec<f64>| w.chunks(2).flat_map(|xy| [xy[0], -xy[1]]).collect();
+        let tasks = self.tasks.tasks.iter().map(mirrored).collect();
+        Self { tasks: TaskFamiliarity { tasks, ..self.tasks.clone() }, manner: self.manner.clone() }
+    }
+
     /// Share of the training tasks that lie at least as far out as `w`, by the distance to the
     /// fifth nearest training task.
     pub fn task(&self, w: &[f64]) -> f64 {

@@ -9,6 +9,7 @@
 
 mod approach;
 mod familiarity;
+mod mirrored;
 mod model;
 mod motion;
 mod refusal;
@@ -17,10 +18,10 @@ mod server;
 mod settings;
 
 pub use familiarity::Familiarity;
-pub use model::{Robot, ServedModel};
+pub use model::{OtherArm, Robot, ServedModel};
 pub use refusal::{ErrorCode, Refusal};
 pub use request::{
     Description, GivenLocation, MAX_COUNT, RankBy, Sample, SampleReply, SampleRequest,
 };
 pub use server::PrimitiveServer;
-pub use settings::{MannerMode, OutOfDistribution, Settings, StartPolicy};
+pub use settings::{MannerMode, OutOfDistribution, SPEEDS, Settings, StartPolicy};

@@ -29,6 +29,8 @@ pub struct ServedModel {
     pub evaluation_json: String,
     /// Whether the demonstrations were synthetic.
     pub synthetic_data: bool,
+    /// Whether its motions are the mirror images of those that were learned, for the other arm.
+    pub mirrored: bool,
     /// How far out tasks and manners lie.
     pub familiarity: Familiarity,
 }
@@ -52,6 +54,15 @@ impl ServedModel {
     }
 }
 
+/// An arm whose motions the robot's arm makes as their mirror images in the xz plane.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OtherArm {
+    /// Its joints, from the base to the tip.
+    pub joint_names: Vec<String>,
+    /// What each of its joints' positions is multiplied by.
+    pub signs: Vec<f64>,
+}
+
 /// The arm that executes.
 #[derive(Debug, Clone)]
 pub struct Robot {
@@ -65,6 +76,8 @@ pub struct Robot {
     pub clearance_m: f64,
     /// Links whose shape is not known.
     pub unmodelled: Vec<String>,
+    /// The arm of which this one is the mirror image; models that were made for it are served mirrored.
+    pub mirrors: Option<OtherArm>,
 }
 
 impl Robot {
@@ -75,7 +88,7 @@ impl Robot {
     pub fn new(arm: ArmDescription, rules: &CollisionRules) -> Result<Self, RuleError> {
         let hull = arm.hull(rules)?;
         let ArmDescription { name, chain, unmodelled, .. } = arm;
-        Ok(Self { name, chain, hull, clearance_m: rules.clearance_m, unmodelled })
+        Ok(Self { name, chain, hull, clearance_m: rules.clearance_m, unmodelled, mirrors: None })
     }
 
     /// Whether nothing comes too near to anything at `q`.

@@ -7,12 +7,13 @@ use nalgebra::Isometry3;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
-use crate::demonstrations::TaskMeasureError;
+use crate::demonstrations::{TaskMeasureError, Violation};
 use crate::kinematics::Chain;
 use crate::kinematics::following::{FollowError, FollowOptions, follow};
 use crate::kinematics::inverse::{InverseOptions, solve};
 use crate::kinematics::timing::{Overshoot, Scales, Timed, eased, time};
 use crate::parameters::{MannerParameters, TaskParameters};
+use crate::pose::position_stddev;
 use crate::primitive::Generated;
 use crate::serving::approach::{touching, way_there};
 use crate::serving::{ErrorCode, GivenLocation, Refusal, Robot, Sample, ServedModel};
@@ -47,6 +48,8 @@ pub(super) struct Order {
     pub(super) in_distribution_task: f64,
     pub(super) tolerance_m: f64,
     pub(super) scales: Scales,
+    /// How many times as fast as it was learned.
+    pub(super) speed: f64,
     pub(super) rate_hz: Option<f64>,
     pub(super) start: Start,
     pub(super) warnings: Vec<String>,
@@ -134,7 +137,7 @@ impl Order {
         let mut executed = self.executed(model, robot, &motion, effort)?;
         if let Some(rate_hz) = self.rate_hz {
             // The rate counts in the time that the motion takes once it is slowed down.
-            let duration = motion.duration_secs * executed.timed.slowdown;
+            let duration = motion.duration_secs / self.speed * executed.timed.slowdown;
             let points = (duration * rate_hz).round().max(1.0) as usize + 1;
             (motion, shares) = at_rest(model, &decoded, points);
             executed = self.executed(model, robot, &motion, effort)?;
@@ -167,6 +170,7 @@ impl Order {
             manner_names: model.primitive.manner_space().names(),
             manner_values: h.values().to_vec(),
             task_error: model.space().distance(&self.w, &empirical),
+            task: named(model, &self.w),
             empirical_task: named(model, &empirical),
             position_error: position_error_m,
             orientation_error: orientation_error_rad,
@@ -186,30 +190,11 @@ impl Order {
         })
     }
 
-    /// Whether each pose of the motion has a configuration, on its own, that may be taken.
-    pub(super) fn could_be_followed(
-        &self,
-        model: &ServedModel,
-        robot: &Robot,
-        h: &MannerParameters,
-    ) -> bool {
+    /// The poses of the tip that the motion of a manner asks for.
+    pub(super) fn wished(&self, model: &ServedModel, h: &MannerParameters) -> Vec<Isometry3<f64>> {
         let decoded = self.aimed(model, h, &mut Vec::new()).motion(model.duration_secs);
         let (motion, _) = at_rest(model, &decoded, decoded.states.steps());
-        let chain = &robot.chain;
-        let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
-        let mut seed = chain.middle();
-        model.frame.poses(&motion.states).iter().all(|pose| {
-            (0..FEASIBLE_STARTS).any(|_| {
-                let found = solve(chain, pose, &seed, &InverseOptions::default(), &mut rng);
-                let Ok(found) = found else { return false };
-                let clear = robot.is_clear(&found.positions);
-                seed = match clear {
-                    true => found.positions,
-                    false => chain.draw(&mut rng),
-                };
-                clear
-            })
-        })
+        model.frame.poses(&motion.states)
     }
 
     /// The decoder's motion, aimed: where `G` of the motion misses the task, the decoder is asked
@@ -287,9 +272,10 @@ impl Order {
         if let Start::Near(start, tolerance) = &self.start {
             check_start(robot, start, &followed.positions[0], *tolerance)?;
         }
-        let timed = time(chain, &followed.positions, step_secs, self.scales)
+        let timed = time(chain, &followed.positions, step_secs / self.speed, self.scales)
             .map_err(|e| swings(model, &e))?;
-        let beyond = timed.slowdown * self.scales.velocity.min(self.scales.acceleration);
+        let scale = self.scales.velocity.min(self.scales.acceleration);
+        let beyond = timed.slowdown * scale / self.speed.max(1.0);
         if beyond > MOST_SLOWDOWN {
             return Err(Failure {
                 refusal: Refusal::new(
@@ -375,9 +361,16 @@ impl Order {
     }
 
     fn check_validity(&self, model: &ServedModel, executed: &Executed) -> Result<(), Failure> {
-        // In the learned timing: slowing down on request makes no pour invalid, and speeds only
-        // fall.
-        let violations = model.task.violations(&executed.motion);
+        // In the learned timing: making it slower on request makes no motion invalid, and speeds only fall. Made
+        // faster, it is to keep the bounds of speeds and accelerations as it is executed.
+        let mut violations = model.task.violations(&executed.motion);
+        let faster = self.speed / executed.timed.slowdown;
+        if violations.is_empty() && faster > 1.0 {
+            let Motion { states, duration_secs } = executed.motion.clone();
+            let motion = Motion { states, duration_secs: duration_secs / faster };
+            violations = model.task.violations(&motion);
+            violations.retain(Violation::is_rate);
+        }
         if violations.is_empty() {
             return Ok(());
         }
@@ -395,6 +388,25 @@ impl Order {
             excess: violations.len() as f64,
         })
     }
+}
+
+/// Whether each of the poses has a configuration, on its own, that may be taken.
+pub(super) fn could_be_followed(robot: &Robot, poses: &[Isometry3<f64>]) -> bool {
+    let chain = &robot.chain;
+    let mut rng = ChaCha8Rng::seed_from_u64(START_SEED);
+    let mut seed = chain.middle();
+    poses.iter().all(|pose| {
+        (0..FEASIBLE_STARTS).any(|_| {
+            let found = solve(chain, pose, &seed, &InverseOptions::default(), &mut rng);
+            let Ok(found) = found else { return false };
+            let clear = robot.is_clear(&found.positions);
+            seed = match clear {
+                true => found.positions,
+                false => chain.draw(&mut rng),
+            };
+            clear
+        })
+    })
 }
 
 /// A motion in so many points whose ends are at rest, and the shares of the decoded one at which they are.
@@ -524,9 +536,4 @@ fn empirical(
 fn named(model: &ServedModel, w: &TaskParameters) -> Vec<GivenLocation> {
     let locations = model.space().locations().iter().enumerate();
     locations.map(|(i, l)| GivenLocation { name: l.name.clone(), xy: w.location(i) }).collect()
-}
-
-/// Root mean square over the three axes of the position's standard deviations (m).
-fn position_stddev(stddev: &[f64]) -> f64 {
-    (stddev[..3].iter().map(|s| s * s).sum::<f64>() / 3.0).sqrt()
 }

@@ -52,6 +52,8 @@ pub struct SampleRequest {
     pub velocity_scale: f64,
     /// Share of the acceleration limits; 0 means the setting.
     pub acceleration_scale: f64,
+    /// How many times as fast as it was learned; 0 means the setting.
+    pub speed: f64,
     /// Points per second of the trajectory; 0 means the model's own.
     pub rate_hz: f64,
     /// Order of the samples.
@@ -73,6 +75,8 @@ pub struct Sample {
     pub manner_names: Vec<String>,
     /// Their values, in standard deviations of the prior.
     pub manner_values: Vec<f64>,
+    /// The task that was asked for.
+    pub task: Vec<GivenLocation>,
     /// `G` of the motion as executed.
     pub empirical_task: Vec<GivenLocation>,
     /// Largest distance to a location that the task's G measures (m).
@@ -139,4 +143,6 @@ pub struct Description {
     pub joint_names: Vec<String>,
     /// Whether the model was trained on synthetic demonstrations.
     pub synthetic_data: bool,
+    /// Whether its motions are the mirror images of those that were learned, for the other arm.
+    pub mirrored: bool,
 }

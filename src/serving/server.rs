@@ -5,16 +5,21 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::thread;
 
+use nalgebra::Isometry3;
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 
 use crate::kinematics::timing::Scales;
 use crate::parameters::{MannerParameters, ParameterError, TaskLocation, TaskParameters};
-use crate::serving::motion::{Effort, Failure, Order, Start};
+use crate::serving::mirrored::mirrored;
+use crate::serving::motion::{Effort, Failure, Order, Start, could_be_followed};
 use crate::serving::{
     Description, ErrorCode, GivenLocation, MAX_COUNT, MannerMode, OutOfDistribution, RankBy,
-    Refusal, Robot, Sample, SampleReply, SampleRequest, ServedModel, Settings, StartPolicy,
+    Refusal, Robot, SPEEDS, Sample, SampleReply, SampleRequest, ServedModel, Settings, StartPolicy,
 };
+
+/// The least and the largest share of the limits that may be used.
+const SCALES: [f64; 2] = [0.01, 1.0];
 
 /// Draws whose ways are looked for thoroughly when none was found quickly.
 const MOST_THOROUGH: usize = 5;
@@ -59,7 +64,7 @@ impl PrimitiveServer {
         robot: Arc<Robot>,
         settings: Settings,
     ) -> Result<Self, Refusal> {
-        check_robot(&model, &robot)?;
+        let model = made_for(model, &robot)?;
         let locations = model.space().locations().len();
         Ok(Self {
             manner: MannerParameters::mean(model.primitive.manner_space()),
@@ -234,7 +239,7 @@ impl PrimitiveServer {
     /// # Errors
     /// [`ErrorCode::RobotMismatch`]; then the old model stays.
     pub fn load_model(&mut self, model: Arc<ServedModel>) -> Result<(), Refusal> {
-        check_robot(&model, &self.robot)?;
+        let model = made_for(model, &self.robot)?;
         let (old, new) = (self.model.space(), model.space());
         let kept = new.locations().iter().map(|l| old.location_index(&l.name));
         let (given, defaults) = kept
@@ -270,6 +275,7 @@ impl PrimitiveServer {
             robot: self.robot.name.clone(),
             joint_names: self.robot.chain.joint_names(),
             synthetic_data: model.synthetic_data,
+            mirrored: model.mirrored,
         }
     }
 
@@ -437,15 +443,24 @@ impl PrimitiveServer {
         request: &SampleRequest,
         now_secs: f64,
     ) -> Result<bool, Refusal> {
+        let wished = self.wished(request, now_secs)?;
+        Ok(wished.iter().any(|poses| could_be_followed(&self.robot, poses)))
+    }
+
+    /// The poses of the tip of each motion that a request may be answered with, whatever the arm makes of it.
+    ///
+    /// # Errors
+    /// As [`Self::could_be_followed`].
+    pub fn wished(
+        &self,
+        request: &SampleRequest,
+        now_secs: f64,
+    ) -> Result<Vec<Vec<Isometry3<f64>>>, Refusal> {
         let w = self.task(&request.task, now_secs)?;
         let fixed = self.fixed_manner(&request.manner_names, &request.manner_values)?;
         let order = self.order(request, w, 0.0, Vec::new(), now_secs)?;
-        for h in self.manners(request, &fixed, request.seed.max(1)) {
-            if order.could_be_followed(&self.model, &self.robot, &h?) {
-                return Ok(true);
-            }
-        }
-        Ok(false)
+        let manners = self.manners(request, &fixed, request.seed.max(1));
+        manners.map(|h| Ok(order.wished(&self.model, &h?))).collect()
     }
 
     fn order(
@@ -456,28 +471,26 @@ impl PrimitiveServer {
         mut warnings: Vec<String>,
         now_secs: f64,
     ) -> Result<Order, Refusal> {
-        let scale = |name: &str, asked: f64, set: f64| match asked {
+        let chosen = |name: &str, asked: f64, set: f64, [lower, upper]: [f64; 2]| match asked {
             0.0 => Ok(set),
             _ if asked.is_nan() || asked.is_infinite() => {
                 Err(Refusal::new(ErrorCode::NotFinite, format!("{name} is {asked}")))
             }
-            _ if (0.01..=1.0).contains(&asked) => Ok(asked),
+            _ if (lower..=upper).contains(&asked) => Ok(asked),
             _ => Err(bad_request(format!(
-                "{name} = {asked} is outside [0.01, 1]; 0 takes the node's setting, {set}"
+                "{name} = {asked} is outside [{lower}, {upper}]; 0 takes the node's setting, {set}"
             ))),
         };
-        let velocity =
-            scale("velocity_scale", request.velocity_scale, self.settings.velocity_scale)?;
-        let acceleration = scale(
-            "acceleration_scale",
-            request.acceleration_scale,
-            self.settings.acceleration_scale,
-        )?;
+        let Settings { velocity_scale, acceleration_scale, speed, .. } = self.settings;
+        let velocity = chosen("velocity_scale", request.velocity_scale, velocity_scale, SCALES)?;
+        let acceleration =
+            chosen("acceleration_scale", request.acceleration_scale, acceleration_scale, SCALES)?;
         Ok(Order {
             w,
             in_distribution_task,
             tolerance_m: self.settings.tolerance_m,
             scales: Scales { velocity, acceleration },
+            speed: chosen("speed", request.speed, speed, SPEEDS)?,
             rate_hz: self.rate(request.rate_hz)?,
             start: self.start(&request.start, now_secs, &mut warnings)?,
             warnings,
@@ -779,16 +792,19 @@ fn at_once<I: Sync, T: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> T
     })
 }
 
-fn check_robot(model: &ServedModel, robot: &Robot) -> Result<(), Refusal> {
-    model.robot.check(&robot.chain).map_err(|mismatch| {
-        Refusal::new(
+/// The model as it fits the robot: itself, or its mirror image for the other arm.
+fn made_for(model: Arc<ServedModel>, robot: &Robot) -> Result<Arc<ServedModel>, Refusal> {
+    let model = mirrored(&model, robot).map_or(model, Arc::new);
+    match model.robot.check(&robot.chain) {
+        Ok(()) => Ok(model),
+        Err(mismatch) => Err(Refusal::new(
             ErrorCode::RobotMismatch,
             format!(
                 "{mismatch}; serve a model that was trained for {}, or give the description of {}",
                 robot.name, model.robot.name
             ),
-        )
-    })
+        )),
+    }
 }
 
 fn check_finite(name: &str, xy: [f64; 2]) -> Result<(), Refusal> {

@@ -34,6 +34,9 @@ pub enum StartPolicy {
     Ignore,
 }
 
+/// The slowest and the fastest that a motion is made, as a multiple of what was learned.
+pub const SPEEDS: [f64; 2] = [0.1, 4.0];
+
 /// The settings of a server.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
@@ -51,6 +54,8 @@ pub struct Settings {
     pub velocity_scale: f64,
     /// Share of the joints' acceleration limits that may be used, in (0, 1].
     pub acceleration_scale: f64,
+    /// How many times as fast as it was learned a motion is made, where the limits allow it.
+    pub speed: f64,
     /// What happens to a task outside the trained region.
     pub out_of_distribution: OutOfDistribution,
     /// What happens where the arm is not at the first point.
@@ -71,6 +76,7 @@ impl Default for Settings {
             max_tries: 20,
             velocity_scale: 1.0,
             acceleration_scale: 1.0,
+            speed: 1.0,
             out_of_distribution: OutOfDistribution::default(),
             start_policy: StartPolicy::default(),
             start_tolerance_rad: 0.05,
@@ -91,6 +97,7 @@ impl Settings {
             ("sample.max_tries", f64::from(self.max_tries), 1.0, 1000.0),
             ("limits.velocity_scale", self.velocity_scale, 0.01, 1.0),
             ("limits.acceleration_scale", self.acceleration_scale, 0.01, 1.0),
+            ("sample.speed", self.speed, SPEEDS[0], SPEEDS[1]),
             ("start.tolerance_rad", self.start_tolerance_rad, 0.0, 3.2),
             ("start.max_age_s", self.start_max_age_secs, 0.01, 3600.0),
         ];

@@ -11,6 +11,7 @@ import importlib
 import json
 import random
 import re
+import struct
 import sys
 
 from rclpy.serialization import deserialize_message, serialize_message
@@ -24,6 +25,9 @@ geometry_msgs/msg/PoseStamped geometry_msgs/msg/TransformStamped
 tf2_msgs/msg/TFMessage sensor_msgs/msg/JointState
 trajectory_msgs/msg/JointTrajectoryPoint trajectory_msgs/msg/JointTrajectory
 trajectory_msgs/msg/MultiDOFJointTrajectoryPoint trajectory_msgs/msg/MultiDOFJointTrajectory
+std_msgs/msg/ColorRGBA sensor_msgs/msg/CompressedImage
+visualization_msgs/msg/UVCoordinate visualization_msgs/msg/MeshFile
+visualization_msgs/msg/Marker visualization_msgs/msg/MarkerArray
 nav_msgs/msg/Path std_srvs/srv/Trigger_Request std_srvs/srv/Trigger_Response
 tcvae_msgs/msg/TaskLocation tcvae_msgs/msg/MannerParameter tcvae_msgs/msg/Sample
 tcvae_msgs/srv/SampleTrajectory_Request tcvae_msgs/srv/SampleTrajectory_Response
@@ -70,7 +74,9 @@ def fill(kind, rng, depth, empty):
         return plain, taken
     if kind == "boolean":
         value = rng.random() < 0.5
-    elif kind in ("double", "float"):
+    elif kind == "float":
+        value = struct.unpack("<f", struct.pack("<f", rng.gauss(0, 1)))[0]
+    elif kind == "double":
         value = rng.choice([rng.gauss(0, 1), rng.uniform(-1e6, 1e6), 0.0, -0.0, 5e-324, 1e300])
     elif kind == "string":
         value = "".join(rng.choice("abcz_/ é√") for _ in range(rng.randint(0, 9)))

@@ -94,7 +94,7 @@ def test_parameters_have_descriptions_types_and_ranges(node, user):
     for name in ["model_path", "urdf_path", "base_frame", "tip_link", "manner.mode",
                  f"manner.{axis.name}", "task.tolerance_m", "task.max_age_s",
                  "task.source_cup.default", "task.pour_location.default", "sample.seed",
-                 "sample.max_tries", "limits.velocity_scale", "limits.acceleration_scale",
+                 "sample.max_tries", "sample.speed", "limits.velocity_scale", "limits.acceleration_scale",
                  "start.tolerance_rad", "out_of_distribution", "publish_on_task", "use_sim_time"]:
         assert name in names
     descriptors = user.call(DescribeParameters, "describe_parameters", names=names).descriptors

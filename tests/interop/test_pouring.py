@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 from tcvae_msgs.srv import DescribePrimitive, SampleTrajectory, SetManner
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from user import User, plain, pose, task
+from visualization_msgs.msg import Marker, MarkerArray
 
 TOLERANCE_M = 0.02
 SOURCE = (0.60, 0.10)
@@ -205,6 +206,37 @@ def test_the_default_of_a_location_stands_in_until_one_is_published(node, user, 
     assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0])
     user.publish_location("source_cup", 0.65, 0.05)
     assert_pours(user.ask(*GOALS[0])[0], arm, GOALS[0], source=(0.65, 0.05))
+
+
+def test_markers_show_the_path_its_band_and_the_task(node, user, make_client):
+    user.publish_location("source_cup", *SOURCE)
+    assert user.ask(*GOALS[0])[0] is not None
+    late = make_client("viewer")
+    arrays = []
+    late.node.create_subscription(MarkerArray, "/tcvae/markers", arrays.append, LATCHED)
+    assert late.spin_until(lambda: arrays, 5.0) is not None
+    first, *markers = arrays[0].markers
+    assert first.action == Marker.DELETEALL
+    assert {m.header.frame_id for m in markers} == {"base"} and {m.action for m in markers} == {Marker.ADD}
+    assert len({(m.ns, m.id) for m in markers}) == len(markers)
+    by_name = {m.ns: m for m in markers}
+    poses = user.paths[-1].poses
+    path = np.array([[p.x, p.y, p.z] for p in by_name["path"].points])
+    assert np.allclose(path, [[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in poses])
+    assert by_name["path"].scale.x > 0 and by_name["path"].color.a == 1.0
+    request = SampleTrajectory.Request(task=task(GOALS[0], SOURCE))
+    response, _ = late.call(late.service(SampleTrajectory, "/tcvae/sample_trajectory"), request)
+    stddev = np.array(response.samples[0].position_stddev)
+    band = by_name["band"]
+    corners = np.array([[p.x, p.y, p.z] for p in band.points])
+    assert band.type == Marker.TRIANGLE_LIST and len(corners) % 3 == 0 and 0 < band.color.a < 1
+    away = np.linalg.norm(corners[:, None] - path[None], axis=2).min(axis=1)
+    # 95 % of a normal distribution lie inside.
+    assert stddev.min() > 0 and 2 * stddev.min() < away.max() <= 2.8 * stddev.max() + 1e-9
+    disc = by_name["pour_location"]
+    assert (disc.pose.position.x, disc.pose.position.y) == GOALS[0] and disc.scale.x == 0.04
+    reached = by_name["pour_location/reached"].pose.position
+    assert 0 < np.hypot(reached.x - GOALS[0][0], reached.y - GOALS[0][1]) < 0.02
 
 
 def test_who_joins_late_gets_no_old_trajectory_but_the_model_and_the_path(node, user, make_client):

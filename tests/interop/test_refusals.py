@@ -214,7 +214,9 @@ def test_an_arm_elsewhere_is_brought_to_the_first_point(node, user):
     away = [q + 0.3 * (middle - q) for q, middle in zip(there, MIDDLE)]
     states = user.matched(user.client.node.create_publisher(JointState, "/joint_states", 10))
     # In two messages, as from two drivers, and the gripper's in between.
-    messages = [JointState(name=names[:3], position=away[:3]),
+    messages = [JointState(name=names, position=away[:3]),  # half a message is none
+                JointState(name=names, velocity=[0.0] * 7),
+                JointState(name=names[:3], position=away[:3]),
                 JointState(name=["l_gripper_l_finger_joint"], position=[0.01]),
                 JointState(name=names[3:], position=away[3:])]
 

@@ -512,6 +512,18 @@ def test_validity_is_measured_as_learned_however_slow_the_motion_is_played(setup
     assert setup.violated() == set()
 
 
+def test_a_motion_that_is_faster_than_learned_keeps_bounds_of_speeds_and_needs_no_others(setup):
+    slow_down(setup, 0.5)
+    setup.sample["slowdown"] = 1.0
+    setup.entry["request"]["speed"] = 1.2
+    executed = setup.pour()[1]["max_speed_m_per_s"][1]
+    setup.validity = {"max_speed_m_per_s": 1.01 * executed}
+    assert setup.violated() == set()
+    # As learned it was 1.2 times slower, and would pass.
+    setup.validity = {"max_speed_m_per_s": 0.99 * executed}
+    assert setup.violated() == {"validity.max_speed_m_per_s"}
+
+
 def test_an_approach_from_elsewhere_than_the_start_is_seen(setup):
     with_approach(setup)
     setup.entry["request"]["start"]["left_s1"] -= 0.3

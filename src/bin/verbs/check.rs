@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
+use nalgebra::Isometry3;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
@@ -17,7 +18,7 @@ use tcvae::kinematics::Joint;
 use tcvae::parameters::Interval;
 use tcvae::report::{Asked, Outcome, requests_svg};
 use tcvae::serving::{
-    ErrorCode, GivenLocation, PrimitiveServer, Sample, SampleRequest, ServedModel, Settings,
+    ErrorCode, GivenLocation, PrimitiveServer, SPEEDS, Sample, SampleRequest, ServedModel, Settings,
 };
 
 use super::sample::sample_json;
@@ -62,6 +63,13 @@ pub(crate) struct CheckArgs {
     /// Write each request that was served with its sample, one JSON object a line, for other programs to verify
     #[arg(long, value_name = "F.jsonl")]
     samples: Option<PathBuf>,
+    /// Write each request of a known kind that was refused with the paths of its draws, one JSON object a line, for
+    /// other programs to find out whether they could be followed
+    #[arg(long, value_name = "F.jsonl")]
+    refused: Option<PathBuf>,
+    /// How many times as fast as it was learned each motion is to be
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, allow_hyphen_values = true)]
+    speed: f64,
 }
 
 /// A request and what came of it.
@@ -73,8 +81,8 @@ struct Checked {
     /// The code of its refusal.
     refused: Option<ErrorCode>,
     sample: Option<Measured>,
-    /// The line that is written of it, until it is.
-    line: Option<Vec<u8>>,
+    /// The lines that are written of it, until they are: of its sample, or of its refusal.
+    lines: [Option<Vec<u8>>; 2],
     /// What the sample breaks after all.
     violations: Vec<String>,
     millis: f64,
@@ -112,6 +120,7 @@ impl Measured {
 pub(crate) fn run(args: CheckArgs) -> anyhow::Result<ExitStatus> {
     for (name, value, fits, expected) in [
         ("--at-least", args.at_least, (0.0..=1.0).contains(&args.at_least), "0 to 1"),
+        ("--speed", args.speed, (SPEEDS[0]..=SPEEDS[1]).contains(&args.speed), "0.1 to 4"),
         ("--beyond", args.beyond, (0.0..=10.0).contains(&args.beyond), "0 to 10 m"),
     ] {
         if !fits {
@@ -123,28 +132,33 @@ pub(crate) fn run(args: CheckArgs) -> anyhow::Result<ExitStatus> {
     let server = server(&artifact, args.robot.as_deref(), Settings::default())?;
     let requests = requests(&args, &server)?;
     let timed = requests.len().min(TIMED);
-    let mut checked = Vec::new();
-    let mut check_all = |mut file: Option<&mut dyn Write>| -> anyhow::Result<()> {
-        let with_line = file.is_some();
+    let mut checked: Vec<Checked> = Vec::new();
+    let mut check_all = |files: &mut [Option<&mut dyn Write>; 2]| -> anyhow::Result<()> {
+        let with_lines = files.each_ref().map(Option::is_some);
         let (first, rest) = requests.split_at(timed);
-        let first = first.iter().map(|request| check(&server, request, with_line)).collect();
+        let first = first.iter().map(|request| check(&server, request, with_lines)).collect();
         let at_once = |some: &[SampleRequest]| -> Vec<_> {
-            some.par_iter().map(|request| check(&server, request, with_line)).collect()
+            some.par_iter().map(|request| check(&server, request, with_lines)).collect()
         };
         for mut some in std::iter::once(first).chain(rest.chunks(AT_ONCE).map(at_once)) {
-            let lines = some.iter_mut().filter_map(|checked: &mut Checked| checked.line.take());
-            if let Some(file) = &mut file {
-                for line in lines {
-                    file.write_all(&line)?;
+            for one in &mut some {
+                for (file, line) in files.iter_mut().zip(&mut one.lines) {
+                    if let (Some(file), Some(line)) = (file, line.take()) {
+                        file.write_all(&line)?;
+                    }
                 }
             }
             checked.extend(some);
         }
         Ok(())
     };
-    match &args.samples {
-        Some(path) => write_with(path, |file| check_all(Some(file)))?,
-        None => check_all(None)?,
+    match (&args.samples, &args.refused) {
+        (Some(samples), Some(refused)) => write_with(samples, |samples| {
+            write_with(refused, |refused| check_all(&mut [Some(samples), Some(refused)]))
+        })?,
+        (Some(path), None) => write_with(path, |file| check_all(&mut [Some(file), None]))?,
+        (None, Some(path)) => write_with(path, |file| check_all(&mut [None, Some(file)]))?,
+        (None, None) => check_all(&mut [None, None])?,
     }
     let millis: Vec<f64> = checked[..timed].iter().map(|c| c.millis).collect();
     if let Some(path) = &args.plot {
@@ -200,6 +214,7 @@ fn requests(args: &CheckArgs, server: &PrimitiveServer) -> anyhow::Result<Vec<Sa
             start,
             seed,
             sample_manner: true,
+            speed: args.speed,
             allow_out_of_distribution: args.beyond > 0.0,
             ..SampleRequest::default()
         });
@@ -229,7 +244,7 @@ fn task(server: &PrimitiveServer, beyond_m: f64, rng: &mut ChaCha8Rng) -> Vec<Gi
     locations.iter().map(at).collect()
 }
 
-fn check(server: &PrimitiveServer, request: &SampleRequest, with_line: bool) -> Checked {
+fn check(server: &PrimitiveServer, request: &SampleRequest, with_lines: [bool; 2]) -> Checked {
     let start = Instant::now();
     let reply = server.sample(request, 0.0);
     let millis = 1e3 * start.elapsed().as_secs_f64();
@@ -251,7 +266,12 @@ fn check(server: &PrimitiveServer, request: &SampleRequest, with_line: bool) -> 
         outcome,
         refused,
         sample: sample.map(|s| Measured::new(s, server.robot().chain.joints())),
-        line: sample.filter(|_| with_line).map(|s| line(server, request, s)),
+        lines: [
+            sample.filter(|_| with_lines[0]).map(|s| line(server, request, s)),
+            refused
+                .filter(|_| with_lines[1] && familiar)
+                .map(|code| refused_line(server, request, code, outcome)),
+        ],
         violations: sample.map_or(Vec::new(), |s| violations(server, request, s)),
         millis,
     }
@@ -296,7 +316,7 @@ fn violations(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample
     let begin = sample.primitive_start_index as usize;
     let motion = tcvae::trajectory::Motion {
         states: model.frame.trajectory(&poses[begin..]),
-        duration_secs: (times[times.len() - 1] - times[begin]) / sample.slowdown,
+        duration_secs: (times[times.len() - 1] - times[begin]) / sample.slowdown * request.speed,
     };
     let w: Vec<f64> = request.task.iter().flat_map(|location| location.xy).collect();
     let reached = model.task.empirical_task(&motion).ok();
@@ -311,6 +331,28 @@ fn violations(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample
     broken
 }
 
+/// What benches/peers/feasible.py reads.
+fn refused_line(
+    server: &PrimitiveServer,
+    request: &SampleRequest,
+    code: ErrorCode,
+    outcome: Outcome,
+) -> Vec<u8> {
+    let wished = server.wished(request, 0.0).unwrap_or_default();
+    let pose = |pose: &Isometry3<f64>| {
+        let (p, q) = (pose.translation.vector, pose.rotation);
+        [p.x, p.y, p.z, q.i, q.j, q.k, q.w]
+    };
+    let paths = wished.iter().map(|path| path.iter().map(pose).collect::<Vec<_>>());
+    let line = json!({
+        "seed": request.seed,
+        "code": code.name(),
+        "could_be_followed": outcome == Outcome::Refused,
+        "paths": paths.collect::<Vec<_>>(),
+    });
+    (line.to_string() + "\n").into_bytes()
+}
+
 /// What tests/verify reads.
 fn line(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample) -> Vec<u8> {
     let settings = server.settings();
@@ -322,6 +364,7 @@ fn line(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample) -> V
             "tolerance_m": settings.tolerance_m,
             "velocity_scale": settings.velocity_scale,
             "acceleration_scale": settings.acceleration_scale,
+            "speed": request.speed,
             "start": if start.is_empty() { Value::Null } else { json!(start) },
         },
         "sample": sample_json(sample),

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use serde_json::{Value, json};
@@ -15,7 +15,8 @@ use tcvae::config::LoadedRobot;
 use tcvae::parameters::{MannerParameters, TaskParameters, TaskSpace};
 use tcvae::report::{PlottedLocation, PlottedMotion, motions_svg};
 use tcvae::serving::{
-    ErrorCode, GivenLocation, MAX_COUNT, Refusal, Sample, SampleReply, SampleRequest, Settings,
+    ErrorCode, GivenLocation, MAX_COUNT, RankBy, Refusal, Sample, SampleReply, SampleRequest,
+    Settings,
 };
 
 #[cfg(feature = "bag")]
@@ -34,7 +35,7 @@ pub(crate) struct SampleArgs {
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
     /// A manner parameter, in standard deviations of the prior; the others are 0
-    #[arg(long, value_name = "NAME=VALUE", value_parser = manner, allow_hyphen_values = true)]
+    #[arg(long, value_name = "NAME=VALUE", value_parser = named_value, allow_hyphen_values = true)]
     manner: Vec<(String, f64)>,
     /// Draw the manner parameters that --manner does not give from the prior
     #[arg(long)]
@@ -48,6 +49,49 @@ pub(crate) struct SampleArgs {
     /// Serve a task outside the trained region, with a warning
     #[arg(long)]
     allow_out_of_distribution: bool,
+    /// Where a joint stands (rad or m), from where the arm is brought to the first point; one for each joint
+    #[arg(long, value_name = "JOINT=POSITION", value_parser = named_value, allow_hyphen_values = true)]
+    start: Vec<(String, f64)>,
+    /// How many times as fast as it was learned, where the limits allow it [default: 1]
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = 0.0,
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
+    speed: f64,
+    /// Share of the velocity limits that may be used [default: 1]
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.0,
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
+    velocity_scale: f64,
+    /// Share of the acceleration limits that may be used [default: 1]
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.0,
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
+    acceleration_scale: f64,
+    /// Points per second [default: as many points as the model has]
+    #[arg(
+        long,
+        value_name = "HZ",
+        default_value_t = 0.0,
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
+    rate_hz: f64,
+    /// Order of the motions: as drawn, or the one first whose least distance to a joint limit is largest, that
+    /// is smoothest, or that is shortest
+    #[arg(long, value_enum, default_value_t)]
+    rank_by: Order,
     /// Print the answer as JSON: the fields of Sample.msg
     #[arg(long, conflicts_with = "csv")]
     pub(crate) json: bool,
@@ -74,8 +118,29 @@ fn location(text: &str) -> Result<GivenLocation, String> {
     parsed().ok_or_else(|| "write it as NAME=X,Y, such as pour_location=0.65,0.25".into())
 }
 
+/// What the motions are ordered by.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+enum Order {
+    #[default]
+    Drawn,
+    Margin,
+    Smoothness,
+    Duration,
+}
+
+impl From<Order> for RankBy {
+    fn from(order: Order) -> Self {
+        match order {
+            Order::Drawn => Self::Drawn,
+            Order::Margin => Self::Margin,
+            Order::Smoothness => Self::Smoothness,
+            Order::Duration => Self::Duration,
+        }
+    }
+}
+
 /// `NAME=VALUE`.
-fn manner(text: &str) -> Result<(String, f64), String> {
+fn named_value(text: &str) -> Result<(String, f64), String> {
     let parsed = || {
         let (name, value) = text.split_once('=')?;
         Some((name.trim().into(), value.trim().parse().ok()?))
@@ -98,8 +163,13 @@ pub(crate) fn run(args: SampleArgs) -> anyhow::Result<ExitStatus> {
         sample_manner: args.random_manner,
         count: args.count,
         seed: args.seed,
+        start: args.start.clone(),
+        velocity_scale: args.velocity_scale,
+        acceleration_scale: args.acceleration_scale,
+        speed: args.speed,
+        rate_hz: args.rate_hz,
+        rank_by: args.rank_by.into(),
         allow_out_of_distribution: args.allow_out_of_distribution,
-        ..SampleRequest::default()
     };
     let reply = server.sample(&request, 0.0);
     if let Some(path) = &args.plot
@@ -164,6 +234,7 @@ pub(super) fn sample_json(sample: &Sample) -> Value {
         primitive_start_index,
         manner_names,
         manner_values,
+        task: _,
         empirical_task,
         task_error,
         position_error,

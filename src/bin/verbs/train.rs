@@ -122,6 +122,9 @@ pub(crate) fn run(mut args: TrainArgs) -> anyhow::Result<ExitStatus> {
     // What was learned is kept even where it can't be measured.
     let Source { splits, digest, .. } = &source;
     evaluate::add_names(&mut artifact, splits);
+    if let Err(error) = evaluate::calibrate(&mut artifact, &splits.validation) {
+        eprintln!("the model is saved without a calibration of its deviations: {error}");
+    }
     match evaluate::measure(&artifact, splits, digest.clone(), evaluate::DEFAULT_SEED) {
         Ok(evaluation) => artifact.document.evaluation = Some(evaluation),
         Err(error) => eprintln!("the model is saved without an evaluation: {error}"),
@@ -211,6 +214,7 @@ pub(super) fn learn(
                 latents,
                 normalizer,
                 model,
+                deviation_scale: None,
             });
             source.artifact(learned, weights).map(Some)
         }

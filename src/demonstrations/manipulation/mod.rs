@@ -283,6 +283,18 @@ impl ManipulationTask {
         StateFrame { reference: UnitQuaternion::from_euler_angles(roll, pitch, yaw) }
     }
 
+    /// The task of the mirrored arm: the same motions, mirrored in the xz plane; none for a task without that
+    /// symmetry.
+    pub fn mirrored(&self) -> Option<Self> {
+        let [roll, pitch, yaw] = self.reference_rpy_deg;
+        let workspace_y_m = self.validity.workspace_y_m.mirrored();
+        (self.symmetry == Symmetry::Xz).then(|| Self {
+            reference_rpy_deg: [-roll, pitch, -yaw],
+            validity: Bounds { workspace_y_m, ..self.validity.clone() },
+            ..self.clone()
+        })
+    }
+
     /// The locations, each with the interval of the workspace.
     pub fn task_space(&self) -> TaskSpace {
         let location = |location: &Location| TaskLocation {
@@ -456,6 +468,10 @@ impl Task for ManipulationTask {
             .into_iter()
             .flatten()
             .collect()
+    }
+
+    fn mirrored(&self) -> Option<Box<dyn Task>> {
+        Self::mirrored(self).map(|task| Box::new(task) as Box<dyn Task>)
     }
 
     fn factors(&self, motion: &Motion) -> Vec<Factor> {

@@ -13,7 +13,7 @@ pub mod tcvae_msgs;
 
 pub use standard::{
     builtin_interfaces, geometry_msgs, nav_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs,
-    trajectory_msgs,
+    trajectory_msgs, visualization_msgs,
 };
 
 /// Marks structs as messages for ros2-client.

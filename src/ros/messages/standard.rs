@@ -69,7 +69,20 @@ pub mod std_msgs {
         pub data: String,
     }
 
-    super::super::messages!(Header, Text);
+    /// A colour, each part from 0 to 1.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct ColorRGBA {
+        /// Red.
+        pub r: f32,
+        /// Green.
+        pub g: f32,
+        /// Blue.
+        pub b: f32,
+        /// 0 can't be seen, 1 hides what is behind.
+        pub a: f32,
+    }
+
+    super::super::messages!(Header, Text, ColorRGBA);
 }
 
 /// Points, poses, transforms, twists.
@@ -222,7 +235,18 @@ pub mod sensor_msgs {
         pub effort: Vec<f64>,
     }
 
-    super::super::messages!(JointState);
+    /// A compressed image.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct CompressedImage {
+        /// When and in which frame.
+        pub header: Header,
+        /// How it is compressed.
+        pub format: String,
+        /// The image.
+        pub data: Vec<u8>,
+    }
+
+    super::super::messages!(JointState, CompressedImage);
 }
 
 /// Trajectories of joints and of frames.
@@ -306,6 +330,98 @@ pub mod nav_msgs {
     }
 
     super::super::messages!(Path);
+}
+
+/// Shapes for people to look at.
+pub mod visualization_msgs {
+    use super::builtin_interfaces::Duration;
+    use super::geometry_msgs::{Point, Pose, Vector3};
+    use super::sensor_msgs::CompressedImage;
+    use super::std_msgs::{ColorRGBA, Header};
+    use serde::{Deserialize, Serialize};
+
+    /// One shape. What a field means depends on the kind of shape.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct Marker {
+        /// When and in which frame.
+        pub header: Header,
+        /// What the id is unique in.
+        pub ns: String,
+        /// A marker of the same namespace and id takes this one's place.
+        pub id: i32,
+        /// The kind of shape.
+        pub r#type: i32,
+        /// 0 shows it.
+        pub action: i32,
+        /// Where it is.
+        pub pose: Pose,
+        /// How large it is, m; of a line, x is the width.
+        pub scale: Vector3,
+        /// Its colour.
+        pub color: ColorRGBA,
+        /// How long it is shown; 0 for ever.
+        pub lifetime: Duration,
+        /// Whether it moves along with its frame.
+        pub frame_locked: bool,
+        /// Of a line its points, of triangles three corners each.
+        pub points: Vec<Point>,
+        /// A colour for each point, or none.
+        pub colors: Vec<ColorRGBA>,
+        /// Where a texture is found.
+        pub texture_resource: String,
+        /// A texture.
+        pub texture: CompressedImage,
+        /// Where each point is on the texture.
+        pub uv_coordinates: Vec<UVCoordinate>,
+        /// Of a text, what it says.
+        pub text: String,
+        /// Where a mesh is found.
+        pub mesh_resource: String,
+        /// A mesh.
+        pub mesh_file: MeshFile,
+        /// Whether a mesh brings its colours along.
+        pub mesh_use_embedded_materials: bool,
+    }
+
+    impl Marker {
+        /// A ball.
+        pub const SPHERE: i32 = 2;
+        /// A cylinder along z.
+        pub const CYLINDER: i32 = 3;
+        /// A line through all points.
+        pub const LINE_STRIP: i32 = 4;
+        /// A triangle for each three points.
+        pub const TRIANGLE_LIST: i32 = 11;
+        /// The action that removes all markers.
+        pub const DELETE_ALL: i32 = 3;
+    }
+
+    /// A place on a texture, each part from 0 to 1.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct UVCoordinate {
+        /// From left to right.
+        pub u: f32,
+        /// From top to bottom.
+        pub v: f32,
+    }
+
+    /// A mesh.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct MeshFile {
+        /// Its name, of which the ending says what it is.
+        pub filename: String,
+        /// Its content.
+        pub data: Vec<u8>,
+    }
+
+    /// Shapes that are shown together.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    pub struct MarkerArray {
+        /// The shapes.
+        pub markers: Vec<Marker>,
+    }
+
+    super::super::messages!(Marker, UVCoordinate, MeshFile, MarkerArray);
 }
 
 /// The trigger service.

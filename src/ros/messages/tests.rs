@@ -57,6 +57,7 @@ fn idl(format: &Format) -> String {
         Format::I32 => "int32".into(),
         Format::U32 => "uint32".into(),
         Format::U64 => "uint64".into(),
+        Format::F32 => "float".into(),
         Format::F64 => "double".into(),
         Format::Str => "string".into(),
         Format::Seq(item) => format!("sequence<{}>", idl(item)),
@@ -124,6 +125,12 @@ fn check(golden: &Golden) {
         "trajectory_msgs/msg/MultiDOFJointTrajectory" => {
             check_ours::<trajectory_msgs::MultiDOFJointTrajectory>
         }
+        "std_msgs/msg/ColorRGBA" => check_ours::<std_msgs::ColorRGBA>,
+        "sensor_msgs/msg/CompressedImage" => check_ours::<sensor_msgs::CompressedImage>,
+        "visualization_msgs/msg/UVCoordinate" => check_ours::<visualization_msgs::UVCoordinate>,
+        "visualization_msgs/msg/MeshFile" => check_ours::<visualization_msgs::MeshFile>,
+        "visualization_msgs/msg/Marker" => check_ours::<visualization_msgs::Marker>,
+        "visualization_msgs/msg/MarkerArray" => check_ours::<visualization_msgs::MarkerArray>,
         "nav_msgs/msg/Path" => check_ours::<nav_msgs::Path>,
         "std_srvs/srv/Trigger_Request" => check_ours::<std_srvs::TriggerRequest>,
         "std_srvs/srv/Trigger_Response" => check_ours::<std_srvs::TriggerResponse>,
