@@ -175,6 +175,20 @@ fn a_given_start_is_where_the_path_begins() {
 }
 
 #[test]
+fn of_two_branches_the_path_takes_that_of_the_posture() {
+    let arm = planar(3.0);
+    let path: Vec<_> = (0..40).map(|i| outwards(1.2, 0.01 * f64::from(i))).collect();
+    for elbow in [-1.0, 1.0] {
+        // The elbow on this side; the tip is not yet where the path begins.
+        let posture = [-0.5 * elbow, 1.2 * elbow, -0.7 * elbow];
+        let options = FollowOptions { postures: vec![&posture], ..FollowOptions::default() };
+        let followed = follow(&arm, &path, STEP_SECS, &options, &mut rng(1)).expect("a path");
+        assert_follows(&arm, &path, STEP_SECS, &options, &followed);
+        assert!(followed.positions.iter().all(|q| q[1] * elbow > 0.5), "{elbow}");
+    }
+}
+
+#[test]
 fn a_start_outside_the_limits_is_taken_to_the_nearest_inside() {
     let chain = baxter();
     let start = vec![-0.3, -0.4, 0.2, -0.1, -0.1, 1.0, 0.4];

@@ -41,6 +41,12 @@ const SETTLING_PULL: f64 = 0.5;
 /// Random configurations from which a point is tried before it counts as out of reach.
 const REACH_RESTARTS: usize = 32;
 
+/// Where it is not to be found out why a path can't be followed: the poses that are tried, each from so many
+/// configurations, to find out whether it can be at all.
+const PROBES: usize = 3;
+const PROBE_STEP: usize = 4;
+const PROBE_RESTARTS: usize = 12;
+
 /// How a path is followed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FollowOptions<'a> {
@@ -53,6 +59,9 @@ pub struct FollowOptions<'a> {
     /// The configuration to begin near to, such as where the arm is. When its path is complete, it
     /// is taken; otherwise the search goes on as without.
     pub start: Option<Vec<f64>>,
+    /// Configurations that are looked at first, such as postures of demonstrations: the arm goes on from there
+    /// without using its freedom.
+    pub postures: Vec<&'a [f64]>,
     /// How far inside its limits each joint is kept (rad, or m), so that it does not swing beyond them between
     /// two points; no further than a tenth of its range.
     pub limit_margin: f64,
@@ -80,6 +89,7 @@ impl Default for FollowOptions<'_> {
             clearance_m: 0.01,
             tolerance: Tolerance::default(),
             start: None,
+            postures: Vec::new(),
             limit_margin: 0.0,
             starts: 64,
             further_starts: 8,
@@ -285,7 +295,7 @@ fn check(
             return not_finite(format!("pose {}", i + 1));
         }
     }
-    if let Some(start) = &options.start {
+    for start in options.start.iter().map(Vec::as_slice).chain(options.postures.iter().copied()) {
         if start.len() != chain.dof() {
             return Err(FollowError::StartLength { expected: chain.dof(), found: start.len() });
         }
@@ -438,19 +448,29 @@ impl<'a> Follower<'a> {
                 return;
             }
         }
-        let mut left = self.options.starts.max(1);
+        let options = self.options;
+        for posture in &options.postures {
+            self.solver.start(posture);
+            if self.attempt(Manner::AsItStands) && self.is_comfortable() {
+                return;
+            }
+        }
+        let mut left = options.starts.max(1);
+        let mut probed = options.diagnose;
         let mut manner = Manner::Centred;
         self.solver.start(&self.chain.middle());
         while left > 0 {
             left -= 1;
-            if self.attempt(manner) {
-                let score = self.best.as_ref().map_or(0.0, |b| b.score(self.options));
-                if score >= 1.0 {
-                    return;
-                }
+            if self.attempt(manner) && self.is_comfortable() {
+                return;
             }
             if self.best.is_some() {
-                left = left.min(self.options.further_starts);
+                left = left.min(options.further_starts);
+            } else if !probed {
+                probed = true;
+                if self.is_out_of_reach(rng) {
+                    return;
+                }
             }
             self.solver.start_anywhere(rng);
             manner = match manner {
@@ -458,6 +478,11 @@ impl<'a> Follower<'a> {
                 Manner::AsItStands => Manner::Centred,
             };
         }
+    }
+
+    /// Whether the best path so far leaves nothing to wish for.
+    fn is_comfortable(&self) -> bool {
+        self.best.as_ref().is_some_and(|best| best.score(self.options) >= 1.0)
     }
 
     /// Follows the path from where the solver stands; whether the path is complete.
@@ -592,7 +617,7 @@ impl<'a> Follower<'a> {
         let mut arrival = None;
         self.solver.start(&q);
         for later in index..self.path.len() {
-            match self.reach(later, rng) {
+            match self.reach(later, REACH_RESTARTS, rng) {
                 Ok(()) => arrival = arrival.or_else(|| Some(self.solver.q.clone())),
                 Err(residual) => return self.out_of_reach(later, &residual, rng),
             }
@@ -631,11 +656,27 @@ impl<'a> Follower<'a> {
         }
     }
 
+    /// Whether a pose from where all attempts have ended so far seems to be one that the arm can't take: then more
+    /// attempts are in vain.
+    fn is_out_of_reach<R: Rng + ?Sized>(&mut self, rng: &mut R) -> bool {
+        let ended = match (&self.best, &self.furthest) {
+            (None, Some(Failure { index, obstacle: Obstacle::NotReached, .. })) => *index,
+            _ => return false,
+        };
+        let mut probes = (ended..self.path.len()).step_by(PROBE_STEP).take(PROBES);
+        probes.any(|index| self.reach(index, PROBE_RESTARTS, rng).is_err())
+    }
+
     /// Brings the solver to a pose, however far the joints have to move; or says how near it came,
     /// and stands there.
-    fn reach<R: Rng + ?Sized>(&mut self, index: usize, rng: &mut R) -> Result<(), Residual> {
+    fn reach<R: Rng + ?Sized>(
+        &mut self,
+        index: usize,
+        restarts: usize,
+        rng: &mut R,
+    ) -> Result<(), Residual> {
         let mut nearest: Option<(Residual, Vec<f64>)> = None;
-        for _ in 0..=REACH_RESTARTS {
+        for _ in 0..=restarts {
             let residual = self.solver.descend(&self.path[index]);
             if residual.within(&self.options.tolerance) {
                 return Ok(());

@@ -18,6 +18,12 @@ const POSITION_TOLERANCE_M: f64 = 1e-3;
 /// Largest angle between the tips of two descriptions of one arm (rad).
 const ORIENTATION_TOLERANCE_RAD: f64 = 1e-3;
 
+/// Postures of demonstrations that a record stores, at most, and how near two may be to count as one (rad).
+const MOST_POSTURES: usize = 12;
+const SAME_POSTURE: f64 = 0.2;
+/// What a turned tip counts in metres, where postures are compared with a pose.
+const METRES_PER_RAD: f64 = 0.3;
+
 /// An arm as a model file remembers it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -36,6 +42,10 @@ pub struct RobotRecord {
     pub base_from_tip: Vec<[f64; 7]>,
     /// SHA-256 of the description that the record was made from; provenance only.
     pub urdf_sha256: String,
+    /// Postures of the arm in which demonstrations began, each different from the others (rad, m); empty where
+    /// none is known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub postures: Vec<Vec<f64>>,
 }
 
 /// How a description differs from the arm of a record.
@@ -93,7 +103,47 @@ impl RobotRecord {
             configurations,
             base_from_tip,
             urdf_sha256,
+            postures: Vec::new(),
         }
+    }
+
+    /// The record with a few of the postures in which demonstrations began: as different from each other as can
+    /// be, in an order that begins with those which tell most of all.
+    pub fn with_postures(self, demonstrated: &[Vec<f64>]) -> Self {
+        let away =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+        let nearest = |to: &[f64], chosen: &[Vec<f64>]| {
+            chosen.iter().map(|q| away(q, to)).fold(f64::INFINITY, f64::min)
+        };
+        let cost = |q: &[f64]| demonstrated.iter().map(|other| away(q, other)).sum::<f64>();
+        // The one amid all, then always the one that is furthest from those chosen so far.
+        let amid = demonstrated.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)));
+        let mut postures: Vec<Vec<f64>> = amid.cloned().into_iter().collect();
+        while postures.len() < MOST_POSTURES {
+            let furthest = demonstrated
+                .iter()
+                .max_by(|a, b| nearest(a, &postures).total_cmp(&nearest(b, &postures)));
+            match furthest {
+                Some(q) if nearest(q, &postures) > SAME_POSTURE * SAME_POSTURE => {
+                    postures.push(q.clone());
+                }
+                _ => break,
+            }
+        }
+        Self { postures, ..self }
+    }
+
+    /// The postures of demonstrations, those first whose tip is nearest to a pose.
+    pub fn postures_near(&self, chain: &Chain, base_from_tip: &Isometry3<f64>) -> Vec<&[f64]> {
+        let away = |q: &[f64]| {
+            let tip = chain.forward(q);
+            let metres = (tip.translation.vector - base_from_tip.translation.vector).norm();
+            metres + METRES_PER_RAD * tip.rotation.angle_to(&base_from_tip.rotation)
+        };
+        let fitting = self.postures.iter().filter(|q| q.len() == chain.dof());
+        let mut postures: Vec<_> = fitting.map(|q| (away(q), q.as_slice())).collect();
+        postures.sort_by(|a, b| a.0.total_cmp(&b.0));
+        postures.into_iter().map(|(_, q)| q).collect()
     }
 
     /// The record of the arm that is the mirror image in the xz plane: at `signs * q` it is where this one
@@ -106,6 +156,7 @@ impl RobotRecord {
             joint_names,
             configurations: self.configurations.iter().map(signed).collect(),
             base_from_tip: self.base_from_tip.iter().map(pose).collect(),
+            postures: self.postures.iter().map(signed).collect(),
             ..self.clone()
         }
     }
@@ -162,4 +213,46 @@ fn pose_of(values: &[f64; 7]) -> Isometry3<f64> {
         Translation3::new(x, y, z),
         UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k)),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::urdf;
+
+    fn record() -> (Chain, RobotRecord) {
+        let urdf = include_str!("../../config/baxter.urdf");
+        let chain = urdf::chain(urdf, "base", "left_gripper").unwrap();
+        let record = RobotRecord::new("baxter", &chain, String::new());
+        (chain, record)
+    }
+
+    #[test]
+    fn postures_are_few_and_differ_and_the_first_is_amid_all() {
+        let (_, record) = record();
+        let at = |s0: f64| {
+            let mut q = vec![0.1, -0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
+            q[0] = s0;
+            q
+        };
+        let demonstrated: Vec<_> = (0..200).map(|i| at(-0.5 + 0.005 * f64::from(i))).collect();
+        let postures = record.clone().with_postures(&demonstrated).postures;
+        assert!((postures[0][0] - 0.0).abs() < 0.01, "{postures:?}");
+        assert!((3..=MOST_POSTURES).contains(&postures.len()), "{postures:?}");
+        for (i, a) in postures.iter().enumerate() {
+            assert!(postures[..i].iter().all(|b| (a[0] - b[0]).abs() > SAME_POSTURE));
+        }
+        assert_eq!(record.clone().with_postures(&vec![at(0.2); 50]).postures, [at(0.2)]);
+        assert_eq!(record.clone().with_postures(&[]), record);
+    }
+
+    #[test]
+    fn the_posture_whose_tip_is_nearest_comes_first() {
+        let (chain, record) = record();
+        let record = record.clone().with_postures(&record.configurations);
+        for q in &record.postures {
+            let near = record.postures_near(&chain, &chain.forward(q));
+            assert_eq!((near[0], near.len()), (q.as_slice(), record.postures.len()));
+        }
+    }
 }

@@ -32,9 +32,12 @@ const EASE_RAD_PER_S2: f64 = 1.5;
 const MOST_EASE: f64 = 0.1;
 /// How far inside its limits each joint is kept at the points (rad or m), so that it is inside between them.
 const LIMIT_MARGIN: f64 = 0.01;
-/// Start configurations of a quick look for a way, and those after the first way that was found.
-const QUICK_STARTS: usize = 8;
-const QUICK_FURTHER_STARTS: usize = 2;
+/// Where a quick look for a way begins: at postures of demonstrations, and then in so many places, or in more where
+/// no posture is known; and where it begins after the first way that was found.
+const QUICK_POSTURES: usize = 3;
+const QUICK_STARTS: usize = 1;
+const QUICK_STARTS_WITHOUT_POSTURES: usize = 8;
+const QUICK_FURTHER_STARTS: usize = 1;
 /// Configurations of one pose that are looked at before it counts as one that can't be taken.
 const FEASIBLE_STARTS: usize = 50;
 /// Seed of the inverse kinematics' start configurations. It is fixed, so that one task in one
@@ -251,14 +254,23 @@ impl Order {
         let chain = &robot.chain;
         let step_secs = motion.step_secs();
         let wished = model.frame.poses(&motion.states);
+        let mut postures = model.robot.postures_near(chain, &wished[0]);
+        postures.truncate(match effort {
+            Effort::Quick => QUICK_POSTURES,
+            Effort::Thorough => usize::MAX,
+        });
         let options = FollowOptions {
+            postures,
             hull: Some(&robot.hull),
             clearance_m: robot.clearance_m,
             start: self.start.positions().cloned(),
             limit_margin: LIMIT_MARGIN,
             ..match effort {
                 Effort::Quick => FollowOptions {
-                    starts: QUICK_STARTS,
+                    starts: match model.robot.postures.is_empty() {
+                        true => QUICK_STARTS_WITHOUT_POSTURES,
+                        false => QUICK_STARTS,
+                    },
                     further_starts: QUICK_FURTHER_STARTS,
                     diagnose: false,
                     ..FollowOptions::default()

@@ -26,6 +26,8 @@ use super::{ExitStatus, UsageError, print_json, print_line, server, write_whole,
 
 /// Requests that are timed one after the other, before the rest is worked out on all cores.
 const TIMED: usize = 300;
+/// The slowest of them that are told.
+const MOST_TOLD: usize = 10;
 /// Requests whose samples are in memory at the same time.
 const AT_ONCE: usize = 1000;
 /// Draws of a task until one lies among those that were trained on, and of a start until it is clear.
@@ -160,7 +162,6 @@ pub(crate) fn run(args: CheckArgs) -> anyhow::Result<ExitStatus> {
         (None, Some(path)) => write_with(path, |file| check_all(&mut [None, Some(file)]))?,
         (None, None) => check_all(&mut [None, None])?,
     }
-    let millis: Vec<f64> = checked[..timed].iter().map(|c| c.millis).collect();
     if let Some(path) = &args.plot {
         let locations = server.model().space().locations();
         let names: Vec<_> = locations.iter().map(|l| l.name.clone()).collect();
@@ -170,7 +171,7 @@ pub(crate) fn run(args: CheckArgs) -> anyhow::Result<ExitStatus> {
         });
         write_whole(path, &requests_svg(&names, &asked.collect::<Vec<_>>())?)?;
     }
-    let answer = answer(&args, &server, &checked, millis);
+    let answer = answer(&args, &server, &checked, timed);
     if args.json {
         print_json(&answer);
     } else {
@@ -372,12 +373,7 @@ fn line(server: &PrimitiveServer, request: &SampleRequest, sample: &Sample) -> V
     (line.to_string() + "\n").into_bytes()
 }
 
-fn answer(
-    args: &CheckArgs,
-    server: &PrimitiveServer,
-    checked: &[Checked],
-    mut millis: Vec<f64>,
-) -> Value {
+fn answer(args: &CheckArgs, server: &PrimitiveServer, checked: &[Checked], timed: usize) -> Value {
     let count =
         |outcome: Outcome| checked.iter().filter(|c| c.familiar && c.outcome == outcome).count();
     let unfamiliar: Vec<_> = checked.iter().filter(|c| !c.familiar).collect();
@@ -398,7 +394,13 @@ fn answer(
         .filter(|c| !c.violations.is_empty())
         .map(|c| json!({ "seed": c.request.seed, "broken": c.violations }))
         .collect();
-    millis.sort_by(f64::total_cmp);
+    let mut slowest: Vec<&Checked> = checked[..timed].iter().collect();
+    slowest.sort_by(|a, b| b.millis.total_cmp(&a.millis));
+    let millis = |rank: usize| slowest[slowest.len() - 1 - rank.min(slowest.len() - 1)].millis;
+    let told = slowest.iter().take(MOST_TOLD).map(|c| {
+        let tries = c.sample.as_ref().map(|sample| sample.tries);
+        json!({ "seed": c.request.seed, "ms": c.millis, "tries": tries, "refused": c.refused.map(ErrorCode::name) })
+    });
     let finite = |value: f64| if value.is_finite() { json!(value) } else { Value::Null };
     json!({
         "model_id": server.model().model_id,
@@ -430,9 +432,10 @@ fn answer(
             "most": finite(tries.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
         },
         "latency_ms": {
-            "median": millis[millis.len() / 2],
-            "p99": millis[(millis.len() * 99 / 100).min(millis.len() - 1)],
-            "timed": millis.len(),
+            "median": millis(timed / 2),
+            "p99": millis(timed * 99 / 100),
+            "timed": timed,
+            "slowest": told.collect::<Vec<_>>(),
         },
     })
 }
@@ -461,7 +464,7 @@ fn table(answer: &Value) {
         ("tries", &answer["tries"]),
         ("ms", &answer["latency_ms"]),
     ] {
-        let values = values.as_object().into_iter().flatten();
+        let values = values.as_object().into_iter().flatten().filter(|(_, v)| !v.is_array());
         let values: Vec<_> = values.map(|(name, v)| format!("{name} {}", number(v))).collect();
         print_line(&format!("  {what:8} {}", values.join(", ")));
     }

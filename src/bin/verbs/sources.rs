@@ -304,6 +304,8 @@ impl Examination {
     fn data(self, copies: Copies) -> Data {
         let summary = self.summary();
         let Self { robot, task, recordings, synthetic } = self;
+        let accepted = recordings.iter().filter_map(|recording| recording.outcome.as_ref().ok());
+        let postures: Vec<_> = accepted.map(|(segment, _)| segment.posture.clone()).collect();
         let (demonstrations, mut digest) = demonstrations(recordings);
         digest.update(serde_json::to_string(&task).expect("a task is JSON"));
         let mut rng = ChaCha8Rng::seed_from_u64(SPLIT_SEED);
@@ -337,7 +339,10 @@ impl Examination {
             );
         }
         Data {
-            robot: Some(RobotRecord::new(&robot.config.name, &robot.chain, robot.urdf_sha256)),
+            robot: Some(
+                RobotRecord::new(&robot.config.name, &robot.chain, robot.urdf_sha256)
+                    .with_postures(&postures),
+            ),
             task: TaskConfig::Manipulation(task),
             splits,
             digest: hex(digest),

@@ -27,6 +27,8 @@ pub struct Segment {
     pub end_secs: f64,
     /// From the start to the end, in the states of the task.
     pub motion: Motion,
+    /// The joints of the served arm at the start, rad.
+    pub posture: Vec<f64>,
 }
 
 impl ManipulationTask {
@@ -223,6 +225,7 @@ impl ManipulationTask {
                 states: at_equal_times(&states, &arm.times_secs[start..=end], self.steps),
                 duration_secs: end_secs - start_secs,
             },
+            posture: arm.positions[start].clone(),
         };
         // A motion of another manner than the bounds foresee is still a demonstration; one that
         // leaves the workspace is none of this task.
