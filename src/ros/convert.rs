@@ -1,6 +1,6 @@
 //! Between the messages on the wire and the core's types.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3};
 
 use super::messages::builtin_interfaces::{Duration, Time};
 use super::messages::geometry_msgs::{
@@ -9,6 +9,7 @@ use super::messages::geometry_msgs::{
 use super::messages::nav_msgs::Path;
 use super::messages::std_msgs::Header;
 use super::messages::{tcvae_msgs, trajectory_msgs};
+use super::tf::{FrameTree, LookupError};
 use crate::parameters::MannerAxis;
 use crate::serving::{
     Description, ErrorCode, GivenLocation, RankBy, Refusal, Sample, SampleReply, SampleRequest,
@@ -28,36 +29,50 @@ impl Frames {
     /// The place of a point in the plane of the base frame; its height has no meaning for a task.
     ///
     /// # Errors
-    /// [`ErrorCode::FrameUnknown`] for a point that is not given in the base frame.
+    /// [`ErrorCode::FrameUnknown`] for a frame that is empty or that nobody told of,
+    /// [`ErrorCode::TransformFailed`] where it is not known how to get from there to the base.
     pub fn location(
         &self,
+        tree: &FrameTree,
         name: &str,
         header: &Header,
         point: &Point,
     ) -> Result<GivenLocation, Refusal> {
-        let base = &self.base;
-        let fact = match header.frame_id.as_str() {
-            "" => format!("{name} has an empty header.frame_id"),
-            frame if frame == base => {
-                return Ok(GivenLocation { name: name.into(), xy: [point.x, point.y] });
-            }
-            frame => {
-                format!("{name} is given in the frame {frame:?}, which this node can't transform")
-            }
+        let (base, frame) = (&self.base, &header.frame_id);
+        let xy = if frame == base {
+            [point.x, point.y]
+        } else if frame.is_empty() {
+            return Err(Refusal::new(
+                ErrorCode::FrameUnknown,
+                format!(
+                    "{name} has an empty header.frame_id; give the point in {base:?}, or in another frame"
+                ),
+            ));
+        } else {
+            let there = Point3::new(point.x, point.y, point.z);
+            let here = tree.point(base, frame, header.stamp, there).map_err(|error| {
+                let code = match error {
+                    LookupError::UnknownFrame { .. } => ErrorCode::FrameUnknown,
+                    LookupError::NoTransform(_) => ErrorCode::TransformFailed,
+                };
+                let fact = format!("{name} is given in the frame {frame:?}: {error}");
+                Refusal::new(
+                    code,
+                    format!("{fact}; publish its transform, or give the point in {base:?}"),
+                )
+            })?;
+            [here.x, here.y]
         };
-        Err(Refusal::new(
-            ErrorCode::FrameUnknown,
-            format!("{fact}; the one frame it knows is {base:?}: give the point in that frame"),
-        ))
+        Ok(GivenLocation { name: name.into(), xy })
     }
 
     /// The core's form of a request.
     ///
     /// # Errors
-    /// [`ErrorCode::FrameUnknown`]; [`ErrorCode::BadRequest`] for lists of different lengths and an
-    /// unknown order.
+    /// As [`Self::location`]; [`ErrorCode::BadRequest`] for lists of different lengths and an unknown order.
     pub fn request(
         &self,
+        tree: &FrameTree,
         message: tcvae_msgs::SampleTrajectoryRequest,
     ) -> Result<SampleRequest, Refusal> {
         let tcvae_msgs::SampleTrajectoryRequest {
@@ -75,7 +90,10 @@ impl Frames {
             publish: _,
             allow_out_of_distribution,
         } = message;
-        let task = task.iter().map(|t| self.location(&t.name, &t.point.header, &t.point.point));
+        let location = |t: &tcvae_msgs::TaskLocation| {
+            self.location(tree, &t.name, &t.point.header, &t.point.point)
+        };
+        let task = task.iter().map(location);
         if start.name.len() != start.position.len() {
             return Err(bad_request(format!(
                 "start names {} joints and has {} positions; give one position for each name",
@@ -329,14 +347,14 @@ mod tests {
     fn a_point_in_the_base_frame_is_a_location_whatever_its_height() {
         let request = SampleTrajectoryRequest { task: vec![in_frame("base")], ..<_>::default() };
         let location = GivenLocation { name: "pour_location".into(), xy: [0.6, 0.2] };
-        assert_eq!(frames().request(request).unwrap().task, [location]);
+        assert_eq!(frames().request(&FrameTree::default(), request).unwrap().task, [location]);
     }
 
     #[test]
     fn another_frame_is_refused_with_the_one_that_is_known() {
         for (frame, fact) in [("", "an empty header.frame_id"), ("camera", "\"camera\"")] {
             let request = SampleTrajectoryRequest { task: vec![in_frame(frame)], ..<_>::default() };
-            let refusal = frames().request(request).unwrap_err();
+            let refusal = frames().request(&FrameTree::default(), request).unwrap_err();
             assert_eq!(refusal.code, ErrorCode::FrameUnknown);
             assert!(refusal.message.contains(fact), "{refusal}");
             assert!(refusal.message.contains("\"base\""), "{refusal}");
@@ -350,7 +368,10 @@ mod tests {
             SampleTrajectoryRequest { rank_by: "best".into(), ..<_>::default() },
             SampleTrajectoryRequest { start, ..<_>::default() },
         ] {
-            assert_eq!(frames().request(request).unwrap_err().code, ErrorCode::BadRequest);
+            assert_eq!(
+                frames().request(&FrameTree::default(), request).unwrap_err().code,
+                ErrorCode::BadRequest
+            );
         }
     }
 

@@ -15,5 +15,6 @@ pub mod parameters;
 pub mod participant;
 pub mod recorder;
 pub mod state;
+pub mod tf;
 pub mod wiring;
 pub mod yaml;

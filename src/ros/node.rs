@@ -1,9 +1,9 @@
 //! The node: what its topics, services and parameters do with a
 //! [`PrimitiveServer`].
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed, Ordering::SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering::Relaxed, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
@@ -19,12 +19,13 @@ use ros2_client::rcl_interfaces::{
     SetParametersResponse,
 };
 use ros2_client::{Context, Gid, ParameterValue, Publisher, QosProfile};
+use tokio::sync::Notify;
 use tokio::task::{AbortHandle, JoinSet};
 
 use super::banner::{Banner, location_command};
 use super::convert::{self, Frames};
 use super::environment::Environment;
-use super::lane::Lane;
+use super::lane::{Lane, WAITING};
 use super::log::NodeLog;
 use super::markers::markers;
 use super::messages::builtin_interfaces::Time;
@@ -37,12 +38,14 @@ use super::messages::tcvae_msgs::{
     DescribePrimitiveRequest, LoadModelRequest, LoadModelResponse, SampleTrajectoryRequest,
     SampleTrajectoryResponse, SetMannerRequest, SetMannerResponse,
 };
+use super::messages::tf2_msgs::TFMessage;
 use super::messages::trajectory_msgs::{JointTrajectory, MultiDOFJointTrajectory};
 use super::messages::visualization_msgs::MarkerArray;
 use super::names::NodeNames;
 use super::parameters::{self, Parameter};
 use super::participant::{self, ParticipantError};
 use super::state::{Loaded, Loader, NodeState};
+use super::tf::FrameTree;
 use super::wiring::{Reply, Wiring, WiringError, answer, each, latched, reliable};
 use crate::serving::{
     Description, ErrorCode, GivenLocation, PrimitiveServer, Refusal, Sample, SampleReply,
@@ -80,6 +83,13 @@ struct Shared {
     loader: Arc<dyn Loader>,
     clock: Clock,
     state: Mutex<NodeState>,
+    /// Where frames are, and word of each that comes.
+    tree: Mutex<FrameTree>,
+    transforms_heard: Notify,
+    /// Locations that came on topics, in their order, while the first of them waits for its transform.
+    waiting: Mutex<VecDeque<Given>>,
+    /// Requests that wait for transforms.
+    requests_waiting: AtomicUsize,
     wiring: Mutex<Wiring>,
     /// Topics that come and go with the model and the parameters, by their names.
     topics: Mutex<BTreeMap<String, AbortHandle>>,
@@ -113,6 +123,61 @@ struct Clock {
     started: Instant,
     /// Nanoseconds of `/clock`.
     simulated: AtomicI64,
+}
+
+/// A location of the task, as it came on a topic.
+struct Given {
+    location: String,
+    point: PointStamped,
+    /// Whether it came as a goal pose, which asks for a trajectory.
+    is_goal: bool,
+    received: Instant,
+}
+
+impl Given {
+    fn what(&self) -> &str {
+        if self.is_goal { "goal" } else { &self.location }
+    }
+
+    fn may_wait(&self, refusal: &Refusal) -> bool {
+        !self.point.header.frame_id.is_empty() && may_come(refusal)
+    }
+}
+
+/// Whether a refusal is for want of a transform that may still come.
+fn may_come(refusal: &Refusal) -> bool {
+    matches!(refusal.code, ErrorCode::FrameUnknown | ErrorCode::TransformFailed)
+}
+
+/// Deals with the locations that wait for transforms, one after the other.
+async fn work_off(shared: Weak<Shared>) {
+    loop {
+        let Some(shared) = shared.upgrade() else { return };
+        let first = |shared: &Shared| lock(&shared.waiting).front().map(|given| given.received);
+        let Some(received) = first(&shared) else { return };
+        let located = shared
+            .once_heard(received, |shared| match lock(&shared.waiting).front() {
+                Some(given) if given.received == received => shared.locate(given).map(Some),
+                // Another one took its place.
+                _ => Ok(None),
+            })
+            .await;
+        let done = match located {
+            Ok(None) => continue,
+            Ok(Some(location)) => Ok(location),
+            Err(refusal) => Err(refusal),
+        };
+        let given = {
+            let mut waiting = lock(&shared.waiting);
+            match waiting.front() {
+                Some(given) if given.received == received => waiting.pop_front(),
+                _ => None,
+            }
+        };
+        if let Some(given) = given {
+            shared.carry_out(&given, done);
+        }
+    }
 }
 
 impl RunningNode {
@@ -152,6 +217,10 @@ impl RunningNode {
             loader,
             clock: Clock { started: Instant::now(), simulated: AtomicI64::new(0) },
             state: Mutex::new(state),
+            tree: Mutex::default(),
+            transforms_heard: Notify::new(),
+            waiting: Mutex::default(),
+            requests_waiting: AtomicUsize::new(0),
             topics: Mutex::default(),
             publishing: Lane::new("publishing")?,
             sampling: Lane::new("sampling")?,
@@ -186,8 +255,17 @@ impl RunningNode {
         )?;
         let weak = Arc::downgrade(&shared);
         tasks.spawn(each(goal_pose, move |goal: PoseStamped| {
-            with(&weak, |shared| shared.goal_pose(&goal));
+            with(&weak, |shared| shared.goal_pose(goal));
         }));
+        for (topic, qos, is_static) in
+            [("/tf", reliable(100), false), ("/tf_static", latched(100), true)]
+        {
+            let transforms = shared.wiring().subscription(topic, ("tf2_msgs", "TFMessage"), qos)?;
+            let weak = Arc::downgrade(&shared);
+            tasks.spawn(each(transforms, move |message: TFMessage| {
+                with(&weak, |shared| shared.transforms(&message, is_static));
+            }));
+        }
         let joint_states = shared.wiring().subscription(
             "/joint_states",
             ("sensor_msgs", "JointState"),
@@ -288,34 +366,109 @@ impl Shared {
     // ---- Topics ----
 
     /// A goal pose sets the first location of the task, and asks for a trajectory.
-    fn goal_pose(self: &Arc<Self>, goal: &PoseStamped) {
-        let received = Instant::now();
-        let name = self.state().server.goal_location().to_owned();
-        let set = self
-            .frames
-            .location(&name, &goal.header, &goal.pose.position)
-            .and_then(|location| self.set_location(&location))
-            .and_then(|()| self.publish_latest(received));
-        if let Err(refusal) = set {
-            log::warn!("goal refused: {refusal}");
-        }
+    fn goal_pose(self: &Arc<Self>, goal: PoseStamped) {
+        let location = self.state().server.goal_location().to_owned();
+        let PoseStamped { header, pose } = goal;
+        let point = PointStamped { header, point: pose.position };
+        self.given(Given { location, point, is_goal: true, received: Instant::now() });
     }
 
     /// A location of the task; it asks for a trajectory only with `publish_on_task`.
-    fn task_location(self: &Arc<Self>, name: &str, point: &PointStamped) {
-        let received = Instant::now();
-        let set = self
-            .frames
-            .location(name, &point.header, &point.point)
-            .and_then(|location| self.set_location(&location));
-        let publish = self.state().publish_on_task;
-        let done = set.and_then(|()| match publish {
-            true => self.publish_latest(received),
-            false => Ok(()),
-        });
-        if let Err(refusal) = done {
-            log::warn!("{name} refused: {refusal}");
+    fn task_location(self: &Arc<Self>, location: &str, point: PointStamped) {
+        let (location, received) = (location.to_owned(), Instant::now());
+        self.given(Given { location, point, is_goal: false, received });
+    }
+
+    /// Takes note of a location, now if it is known where it is; else when it is, or not at all. Those that come
+    /// after one that waits wait for their turn, so that they count in their order.
+    fn given(self: &Arc<Self>, given: Given) {
+        let mut waiting = lock(&self.waiting);
+        if waiting.is_empty() {
+            match self.locate(&given) {
+                Err(refusal) if given.may_wait(&refusal) => {
+                    waiting.push_back(given);
+                    tokio::spawn(work_off(Arc::downgrade(self)));
+                }
+                located => {
+                    drop(waiting);
+                    self.carry_out(&given, located);
+                }
+            }
+            return;
         }
+        // Of those that wait on one topic the last one counts.
+        let same =
+            |other: &Given| (&other.location, other.is_goal) == (&given.location, given.is_goal);
+        if let Some(place) = waiting.iter().position(same)
+            && let Some(old) = waiting.remove(place)
+        {
+            let superseded = self.locate(&old).map(|_| ()).err();
+            let reason = superseded.map_or("another one came".into(), |r| r.to_string());
+            log::warn!("{} refused: {reason}; a later one takes its place", old.what());
+        }
+        waiting.push_back(given);
+        drop(waiting);
+        self.transforms_heard.notify_waiters();
+    }
+
+    fn locate(&self, given: &Given) -> Result<GivenLocation, Refusal> {
+        let PointStamped { header, point } = &given.point;
+        self.frames.location(&lock(&self.tree), &given.location, header, point)
+    }
+
+    fn carry_out(self: &Arc<Self>, given: &Given, located: Result<GivenLocation, Refusal>) {
+        let publish = given.is_goal || self.state().publish_on_task;
+        let done =
+            located.and_then(|location| self.set_location(&location)).and_then(
+                |()| match publish {
+                    true => self.publish_latest(given.received),
+                    false => Ok(()),
+                },
+            );
+        if let Err(refusal) = done {
+            log::warn!("{} refused: {refusal}", given.what());
+        }
+    }
+
+    /// Tries something that needs transforms until it works, or the time for which they are waited is over.
+    async fn once_heard<T>(
+        &self,
+        received: Instant,
+        attempt: impl Fn(&Self) -> Result<T, Refusal>,
+    ) -> Result<T, Refusal> {
+        let timeout = Duration::from_secs_f64(self.state().tf_timeout_secs);
+        loop {
+            let heard = self.transforms_heard.notified();
+            tokio::pin!(heard);
+            heard.as_mut().enable();
+            match attempt(self) {
+                Err(refusal) if may_come(&refusal) => {
+                    let left = timeout.saturating_sub(received.elapsed());
+                    if tokio::time::timeout(left, heard).await.is_err() {
+                        let message = format!(
+                            "{} (waited for {:.1} s, tf.timeout_s)",
+                            refusal.message,
+                            timeout.as_secs_f64()
+                        );
+                        return Err(Refusal { message, ..refusal });
+                    }
+                }
+                done => return done,
+            }
+        }
+    }
+
+    /// Transforms of `/tf`, or of `/tf_static`.
+    fn transforms(&self, message: &TFMessage, is_static: bool) {
+        {
+            let mut tree = lock(&self.tree);
+            for transform in &message.transforms {
+                if let Err(complaint) = tree.hear(transform, is_static) {
+                    log::warn!("{complaint}");
+                }
+            }
+        }
+        self.transforms_heard.notify_waiters();
     }
 
     fn set_location(&self, location: &GivenLocation) -> Result<(), Refusal> {
@@ -364,7 +517,7 @@ impl Shared {
                 let points = wiring.subscription(topic, points, reliable(10))?;
                 let location = location.to_owned();
                 Box::pin(each(points, move |point: PointStamped| {
-                    with(&weak, |shared| shared.task_location(&location, &point));
+                    with(&weak, |shared| shared.task_location(&location, point));
                 }))
             }
             None => {
@@ -588,9 +741,38 @@ impl Shared {
     ) {
         let received = Instant::now();
         let publish = message.publish;
+        match self.frames.request(&lock(&self.tree), message.clone()) {
+            // Not for ever, and not too many of them.
+            Err(refusal) if may_come(&refusal) => {
+                if self.requests_waiting.fetch_add(1, SeqCst) >= WAITING {
+                    self.requests_waiting.fetch_sub(1, SeqCst);
+                    self.answer_sample(Err(refusal), publish, received, reply);
+                    return;
+                }
+                let shared = Arc::clone(self);
+                tokio::spawn(async move {
+                    let request = shared.once_heard(received, |shared| {
+                        shared.frames.request(&lock(&shared.tree), message.clone())
+                    });
+                    let request = request.await;
+                    shared.requests_waiting.fetch_sub(1, SeqCst);
+                    shared.answer_sample(request, publish, received, reply);
+                });
+            }
+            request => self.answer_sample(request, publish, received, reply),
+        }
+    }
+
+    fn answer_sample(
+        self: &Arc<Self>,
+        request: Result<SampleRequest, Refusal>,
+        publish: bool,
+        received: Instant,
+        reply: Reply<SampleTrajectoryRequest, SampleTrajectoryResponse>,
+    ) {
         let turn = if publish { Turn::Publish } else { Turn::Answer };
         let later = reply.clone();
-        let asked = self.frames.request(message).and_then(|request| {
+        let asked = request.and_then(|request| {
             self.sample(turn, request, move |shared, answer| {
                 if let (true, Some(sample)) = (publish, answer.samples.first()) {
                     shared.publish(sample, &answer.model_id, received);

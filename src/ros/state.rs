@@ -58,6 +58,8 @@ pub struct NodeState {
     pub publish_on_task: bool,
     /// Whether time comes from `/clock`.
     pub use_sim_time: bool,
+    /// How long a transform is waited for (s).
+    pub tf_timeout_secs: f64,
     model_path: String,
     robot: RobotFiles,
     /// What each location of the task is while nothing else was given.
@@ -134,6 +136,7 @@ impl NodeState {
             server,
             publish_on_task: false,
             use_sim_time: false,
+            tf_timeout_secs: 0.5,
             model_path,
             robot: files,
         };
@@ -202,6 +205,12 @@ impl NodeState {
             "Whether stamps are taken from /clock",
             Range::Any,
             P::Boolean(self.use_sim_time),
+        );
+        add(
+            "tf.timeout_s",
+            "How long (s) a location in another frame waits for its transform, counted from its receipt",
+            Range::Double(0.0, 60.0),
+            P::Double(self.tf_timeout_secs),
         );
         add(
             "task.tolerance_m",
@@ -378,6 +387,7 @@ impl NodeState {
         match (name, value) {
             ("publish_on_task", P::Boolean(value)) => self.publish_on_task = value,
             ("use_sim_time", P::Boolean(value)) => self.use_sim_time = value,
+            ("tf.timeout_s", P::Double(value)) => self.tf_timeout_secs = value,
             ("task.tolerance_m", P::Double(value)) => settings.tolerance_m = value,
             ("task.max_age_s", P::Double(value)) => settings.max_age_secs = value,
             ("manner.mode", P::String(value)) => {
