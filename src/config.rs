@@ -108,6 +108,8 @@ pub struct LoadedRobot {
     pub hull: Hull,
     /// Links whose shape is not known.
     pub unmodelled: Vec<String>,
+    /// Joints that are not the arm's, each with a position to show it in.
+    pub others: Vec<(String, f64)>,
     /// Its description, as it was read.
     pub urdf: String,
     /// SHA-256 over the URDF.
@@ -128,6 +130,8 @@ impl LoadedRobot {
             clearance_m: self.config.collision.clearance_m,
             unmodelled: self.unmodelled.clone(),
             mirrors: self.config.mirrored_arm.as_ref().and_then(other),
+            others: self.others.clone(),
+            description: self.urdf.as_str().into(),
         }
     }
 }
@@ -179,8 +183,8 @@ pub fn robot<E: Display>(
     arm = arm.with_limits(&config.limits).map_err(|e| content(here, &e.to_string()))?;
     let hull = arm.hull(&config.collision).map_err(|e| content(here, &e.to_string()))?;
     let urdf_sha256 = hex(&Sha256::digest(urdf.as_bytes()));
-    let ArmDescription { chain, unmodelled, .. } = arm;
-    Ok(LoadedRobot { config, chain, hull, unmodelled, urdf, urdf_sha256 })
+    let ArmDescription { chain, unmodelled, others, .. } = arm;
+    Ok(LoadedRobot { config, chain, hull, unmodelled, others, urdf, urdf_sha256 })
 }
 
 /// Limits by joint out of MoveIt's `joint_limits.yaml`: a limit counts where its `has_…_limits` is true.

@@ -193,6 +193,22 @@ pub struct JointTrajectory {
 }
 
 impl JointTrajectory {
+    /// The configuration at a time: on the way between two points, the first before them, and the last after them.
+    ///
+    /// # Panics
+    /// Without points.
+    pub fn at(&self, secs: f64) -> Vec<f64> {
+        let times = &self.times_secs;
+        match times.partition_point(|time| *time <= secs) {
+            0 => self.positions[0].clone(),
+            after if after == times.len() => self.positions[after - 1].clone(),
+            after => {
+                let (from, to) = (times[after - 1], times[after]);
+                self.between(after - 1, (secs - from) / (to - from))
+            }
+        }
+    }
+
     /// The configuration at a share of the way in time from point `k` to the next, on the cubic between them.
     ///
     /// # Panics

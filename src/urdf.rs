@@ -147,7 +147,18 @@ pub fn arm(urdf_xml: &str, base: &str, tip: &str) -> Result<ArmDescription, Urdf
     let chain = Chain::new(base, tip, joints, parent_from_here)?;
     place_neighbours(&robot, &mut links);
     let (parts, unmodelled) = shape(&robot, &links);
-    Ok(ArmDescription { name: robot.name, chain, links, parts, unmodelled })
+    let others = robot.joints.iter().filter(|joint| {
+        let moves = !matches!(joint.joint_type, JointType::Fixed);
+        moves && joint.mimic.is_none() && chain.joints().iter().all(|own| own.name != joint.name)
+    });
+    let rest = |joint: &urdf_rs::Joint| match joint.joint_type {
+        JointType::Revolute | JointType::Prismatic if joint.limit.lower <= joint.limit.upper => {
+            0f64.clamp(joint.limit.lower, joint.limit.upper)
+        }
+        _ => 0.0,
+    };
+    let others = others.map(|joint| (joint.name.clone(), rest(joint))).collect();
+    Ok(ArmDescription { name: robot.name, chain, links, parts, others, unmodelled })
 }
 
 /// Adds the links that fixed joints hold on those that are placed, and on what they hold.

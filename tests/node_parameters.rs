@@ -24,7 +24,7 @@ fn root(path: &str) -> PathBuf {
 fn robot(urdf: &str, files: &RobotFiles) -> Result<Robot, Refusal> {
     let arm = tcvae::urdf::arm(urdf, &files.base_frame, &files.tip_link)
         .map_err(|e| Refusal::new(ErrorCode::RobotMismatch, e.to_string()))?;
-    Ok(Robot::new(arm, &RobotConfig::default().collision).unwrap())
+    Ok(Robot::new(arm, &RobotConfig::default().collision, urdf).unwrap())
 }
 
 impl Loader for Files {

@@ -78,7 +78,7 @@ impl Loader for Files {
             };
             Refusal::new(code, format!("{file}: {e}{hint}"))
         })?;
-        Robot::new(arm, &rules)
+        Robot::new(arm, &rules, &urdf)
             .map_err(|e| Refusal::new(ErrorCode::RobotMismatch, format!("{file}: {e}")))
     }
 }

@@ -18,6 +18,8 @@ pub struct ArmDescription {
     pub links: Vec<LinkPlace>,
     /// What there is of the robot's shape.
     pub parts: Vec<Capsule>,
+    /// Joints of the robot that are not the arm's, each with a position inside its limits: 0 where that is one.
+    pub others: Vec<(String, f64)>,
     /// Links with a shape that is not among the parts: meshes, and links behind joints of their own.
     pub unmodelled: Vec<String>,
 }

@@ -144,7 +144,8 @@ pub fn graph() -> Vec<TransitionDescription> {
     outcomes(12, (50, Lifecycle::Finalized), Lifecycle::Finalized, ERROR_PROCESSING);
     let finalized = Lifecycle::Finalized;
     outcomes(ERROR_PROCESSING, (60, Lifecycle::Unconfigured), finalized, finalized as u8);
-    let asked = STEPS.iter().map(|step| described(step.id, step.label, step.from as u8, step.between));
+    let asked =
+        STEPS.iter().map(|step| described(step.id, step.label, step.from as u8, step.between));
     asked.chain(transitions).collect()
 }
 
@@ -183,7 +184,10 @@ mod tests {
             let step = at.step(&transition).unwrap();
             let [left, arrived] = step.events();
             assert_eq!(left.start_state, at.state());
-            assert_eq!((&left.goal_state, &arrived.goal_state), (&arrived.start_state, &goal.state()));
+            assert_eq!(
+                (&left.goal_state, &arrived.goal_state),
+                (&arrived.start_state, &goal.state())
+            );
             at = step.goal();
             assert_eq!(at, goal);
         }

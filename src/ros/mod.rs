@@ -6,6 +6,7 @@ pub mod banner;
 pub mod convert;
 pub mod environment;
 pub mod lane;
+pub mod lifecycle;
 pub mod log;
 pub mod markers;
 pub mod messages;

@@ -1,6 +1,9 @@
 //! The node: what its topics, services and parameters do with a
 //! [`PrimitiveServer`].
 
+mod eyes;
+mod managed;
+
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering::Relaxed, Ordering::SeqCst};
@@ -19,17 +22,20 @@ use ros2_client::rcl_interfaces::{
     SetParametersResponse,
 };
 use ros2_client::{Context, Gid, ParameterValue, Publisher, QosProfile};
-use tokio::sync::Notify;
+use tokio::sync::{Notify, watch};
 use tokio::task::{AbortHandle, JoinSet};
 
 use super::banner::{Banner, location_command};
 use super::convert::{self, Frames};
 use super::environment::Environment;
 use super::lane::{Lane, WAITING};
+use super::lifecycle::Lifecycle;
 use super::log::NodeLog;
 use super::markers::markers;
 use super::messages::builtin_interfaces::Time;
+use super::messages::diagnostic_msgs::DiagnosticArray;
 use super::messages::geometry_msgs::{PointStamped, PoseStamped};
+use super::messages::lifecycle_msgs::TransitionEvent;
 use super::messages::nav_msgs::Path;
 use super::messages::sensor_msgs::JointState;
 use super::messages::std_msgs::Text;
@@ -51,6 +57,8 @@ use crate::serving::{
     Description, ErrorCode, GivenLocation, PrimitiveServer, Refusal, Sample, SampleReply,
     SampleRequest,
 };
+use crate::trajectory as core;
+use eyes::Counts;
 
 /// Why the node does not run.
 #[derive(Debug, thiserror::Error)]
@@ -103,6 +111,13 @@ struct Shared {
     end_effector_trajectory: Publisher<MultiDOFJointTrajectory>,
     end_effector_path: Publisher<Path>,
     markers: Publisher<MarkerArray>,
+    transition_event: Publisher<TransitionEvent>,
+    diagnostics: Publisher<DiagnosticArray>,
+    preview: Publisher<JointState>,
+    /// The motion that the ghost plays.
+    previewed: watch::Sender<Option<Arc<core::JointTrajectory>>>,
+    robot_description: Publisher<Text>,
+    counts: Mutex<Counts>,
     model_info: Publisher<Text>,
     parameter_events: Publisher<raw::ParameterEvent>,
 }
@@ -203,6 +218,7 @@ impl RunningNode {
         let trajectory = ("trajectory_msgs", "JointTrajectory");
         let poses = ("trajectory_msgs", "MultiDOFJointTrajectory");
         let event = ("rcl_interfaces", "ParameterEvent");
+        let joint_state = ("sensor_msgs", "JointState");
         let mut tasks = JoinSet::new();
         let participants = wiring.participants::<ParticipantEntitiesInfo>(&context)?;
         tasks.spawn(each(
@@ -241,6 +257,24 @@ impl RunningNode {
                 ("visualization_msgs", "MarkerArray"),
                 latched(1),
             )?,
+            transition_event: wiring.publisher(
+                "~/transition_event",
+                ("lifecycle_msgs", "TransitionEvent"),
+                reliable(10),
+            )?,
+            diagnostics: wiring.publisher(
+                "/diagnostics",
+                ("diagnostic_msgs", "DiagnosticArray"),
+                reliable(1),
+            )?,
+            preview: wiring.publisher("~/preview/joint_states", joint_state, reliable(10))?,
+            previewed: watch::Sender::new(None),
+            robot_description: wiring.publisher(
+                "~/robot_description",
+                ("std_msgs", "String"),
+                latched(1),
+            )?,
+            counts: Mutex::default(),
             model_info: wiring.publisher("~/model_info", ("std_msgs", "String"), latched(1))?,
             parameter_events: wiring.publisher("/parameter_events", event, reliable(1000))?,
             wiring: Mutex::new(wiring),
@@ -248,6 +282,9 @@ impl RunningNode {
         });
         shared.serve(&mut tasks)?;
         shared.serve_parameters(&mut tasks)?;
+        shared.serve_lifecycle(&mut tasks)?;
+        tasks.spawn(eyes::diagnose(Arc::downgrade(&shared)));
+        tasks.spawn(eyes::preview(Arc::downgrade(&shared), shared.previewed.subscribe()));
         let goal_pose = shared.wiring().subscription(
             "~/goal_pose",
             ("geometry_msgs", "PoseStamped"),
@@ -268,7 +305,7 @@ impl RunningNode {
         }
         let joint_states = shared.wiring().subscription(
             "/joint_states",
-            ("sensor_msgs", "JointState"),
+            joint_state,
             QosProfile::subscription_default().history(History::KeepLast { depth: 1 }),
         )?;
         let weak = Arc::downgrade(&shared);
@@ -289,6 +326,7 @@ impl RunningNode {
         }));
         shared.sync_topics();
         shared.announce_model();
+        shared.announce_robot();
         shared.announce_parameters(&[], &shared.parameters());
         Ok(Self { tasks, shared: Some(shared), log, _context: context })
     }
@@ -382,6 +420,13 @@ impl Shared {
     /// Takes note of a location, now if it is known where it is; else when it is, or not at all. Those that come
     /// after one that waits wait for their turn, so that they count in their order.
     fn given(self: &Arc<Self>, given: Given) {
+        let at = self.state().lifecycle;
+        if let (Lifecycle::Unconfigured | Lifecycle::Finalized, Err(refusal)) =
+            (at, self.check_active(at))
+        {
+            log::warn!("{} refused: {refusal}", given.what());
+            return;
+        }
         let mut waiting = lock(&self.waiting);
         if waiting.is_empty() {
             match self.locate(&given) {
@@ -571,6 +616,7 @@ impl Shared {
         request: SampleRequest,
         then: impl FnOnce(&Self, SampleReply) + Send + 'static,
     ) -> Result<(), Refusal> {
+        self.check_active(self.state().lifecycle)?;
         let lane = match turn {
             Turn::Goal | Turn::Publish => &self.publishing,
             Turn::Answer => &self.sampling,
@@ -585,6 +631,7 @@ impl Shared {
                 (shared.state().server.clone(), shared.now_secs())
             });
             let Some((server, now_secs)) = now else { return };
+            let began = Instant::now();
             let answered = catch_unwind(AssertUnwindSafe(|| server.sample(&request, now_secs)));
             let reply = answered.unwrap_or_else(|_| SampleReply {
                 samples: Vec::new(),
@@ -596,10 +643,15 @@ impl Shared {
                 model_id: server.model().model_id.clone(),
             });
             with(&shared, |shared| {
-                let reply = SampleReply {
+                let mut reply = SampleReply {
                     refusal: reply.refusal.map(|r| shared.with_next_step(&server, &request, r)),
                     ..reply
                 };
+                // The node may have been deactivated meanwhile.
+                if let Err(refusal) = shared.check_active(shared.state().lifecycle) {
+                    reply = SampleReply { samples: Vec::new(), refusal: Some(refusal), ..reply };
+                }
+                lock(&shared.counts).answered(&reply, began.elapsed());
                 if let Some(refusal) = &reply.refusal {
                     log::warn!("{refusal}");
                 }
@@ -634,16 +686,19 @@ impl Shared {
 
     fn publish(&self, sample: &Sample, model_id: &str, received: Instant) {
         let (joints, poses) = (&sample.joint_trajectory, &sample.end_effector_trajectory);
-        let stamp = self.stamp().to_nanos();
-        let stamp = Time {
-            sec: i32::try_from(stamp.div_euclid(1_000_000_000)).unwrap_or(i32::MAX),
-            nanosec: stamp.rem_euclid(1_000_000_000) as u32,
-        };
+        let stamp = self.message_stamp();
+        // Nobody deactivates the node while this is held, so that nothing leaves an inactive one.
+        let state = self.state();
+        if let Err(refusal) = self.check_active(state.lifecycle) {
+            log::warn!("not published: {refusal}");
+            return;
+        }
         let mut lost = Vec::new();
         if let Err(e) = self.joint_trajectory.publish(self.frames.joint_trajectory(joints)) {
             lost.push(e.to_string());
         }
         let took_ms = received.elapsed().as_secs_f64() * 1e3;
+        let tolerance_m = state.server.settings().tolerance_m;
         let message = self.frames.end_effector_trajectory(poses);
         if let Err(e) = self.end_effector_trajectory.publish(message) {
             lost.push(e.to_string());
@@ -651,7 +706,9 @@ impl Shared {
         if let Err(e) = self.end_effector_path.publish(self.frames.path(poses, stamp)) {
             lost.push(e.to_string());
         }
-        let tolerance_m = self.state().server.settings().tolerance_m;
+        drop(state);
+        lock(&self.counts).published();
+        self.previewed.send_replace(Some(Arc::new(joints.clone())));
         let markers = markers(&self.frames, sample, tolerance_m, stamp);
         if let Err(e) = self.markers.publish(markers) {
             lost.push(e.to_string());
@@ -980,6 +1037,14 @@ impl Shared {
             && let Err(e) = self.parameter_events.publish(event)
         {
             log::warn!("a parameter event could not be sent: {e}");
+        }
+    }
+
+    /// Publishes the robot's description.
+    fn announce_robot(&self) {
+        let data = self.state().server.robot().description.to_string();
+        if let Err(e) = self.robot_description.publish(Text { data }) {
+            log::warn!("the robot's description could not be sent: {e}");
         }
     }
 

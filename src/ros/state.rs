@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use ros2_client::ParameterValue;
 
+use super::lifecycle::Lifecycle;
 use super::parameters::{Parameter, Range, find, suggestion};
 use crate::serving::{
     ErrorCode, MannerMode, OutOfDistribution, PrimitiveServer, Refusal, Robot, SPEEDS, ServedModel,
@@ -58,6 +59,10 @@ pub struct NodeState {
     pub publish_on_task: bool,
     /// Whether time comes from `/clock`.
     pub use_sim_time: bool,
+    /// Whether it serves.
+    pub lifecycle: Lifecycle,
+    /// Whether it served from the start, without being told to.
+    autostart: bool,
     /// How long a transform is waited for (s).
     pub tf_timeout_secs: f64,
     model_path: String,
@@ -87,6 +92,9 @@ const FIXED: [(&str, &str); 4] = [
     ("tip_link", "Link that the motion moves; empty at start for the model's"),
 ];
 
+/// The parameter that says whether the node serves from the start.
+const AUTOSTART: &str = "autostart";
+
 /// The height of a table that nothing can touch.
 const NO_TABLE_M: f64 = -10.0;
 
@@ -99,6 +107,13 @@ impl NodeState {
         mut values: BTreeMap<String, ParameterValue>,
         loader: &dyn Loader,
     ) -> Result<(Self, Vec<String>), Refusal> {
+        let autostart = match values.remove(AUTOSTART) {
+            None => true,
+            Some(ParameterValue::Boolean(autostart)) => autostart,
+            Some(_) => {
+                return Err(bad_request("autostart is not a bool; write autostart:=false".into()));
+            }
+        };
         let mut text = |name: &str| match values.remove(name) {
             None => Ok(String::new()),
             Some(ParameterValue::String(text)) => Ok(text),
@@ -136,6 +151,8 @@ impl NodeState {
             server,
             publish_on_task: false,
             use_sim_time: false,
+            lifecycle: if autostart { Lifecycle::Active } else { Lifecycle::Unconfigured },
+            autostart,
             tf_timeout_secs: 0.5,
             model_path,
             robot: files,
@@ -178,7 +195,7 @@ impl NodeState {
                 name: name.into(),
                 description: description.into(),
                 range,
-                read_only: FIXED.iter().any(|(fixed, _)| *fixed == name),
+                read_only: name == AUTOSTART || FIXED.iter().any(|(fixed, _)| *fixed == name),
                 value,
             });
         };
@@ -194,6 +211,13 @@ impl NodeState {
         for ((name, description), value) in FIXED.into_iter().zip(fixed) {
             add(name, description, Range::Any, P::String(value.clone()));
         }
+        add(
+            AUTOSTART,
+            "Whether the node is active from the start; if not, a lifecycle manager, or ros2 lifecycle set, \
+             configures and activates it",
+            Range::Any,
+            P::Boolean(self.autostart),
+        );
         add(
             "publish_on_task",
             "Whether every task topic asks for a trajectory, as the goal pose does",

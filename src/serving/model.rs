@@ -1,5 +1,7 @@
 //! What a server serves: a primitive with its task, on a robot.
 
+use std::sync::Arc;
+
 use crate::demonstrations::Task;
 use crate::kinematics::{ArmDescription, Chain, CollisionRules, Hull, RobotRecord, RuleError};
 use crate::parameters::{Interval, TaskSpace};
@@ -78,6 +80,10 @@ pub struct Robot {
     pub unmodelled: Vec<String>,
     /// The arm of which this one is the mirror image; models that were made for it are served mirrored.
     pub mirrors: Option<OtherArm>,
+    /// Joints that are not the arm's, each with a position to show it in.
+    pub others: Vec<(String, f64)>,
+    /// The description that all of it is from (URDF).
+    pub description: Arc<str>,
 }
 
 impl Robot {
@@ -85,10 +91,23 @@ impl Robot {
     ///
     /// # Errors
     /// Rules that do not fit the description.
-    pub fn new(arm: ArmDescription, rules: &CollisionRules) -> Result<Self, RuleError> {
+    pub fn new(
+        arm: ArmDescription,
+        rules: &CollisionRules,
+        description: &str,
+    ) -> Result<Self, RuleError> {
         let hull = arm.hull(rules)?;
-        let ArmDescription { name, chain, unmodelled, .. } = arm;
-        Ok(Self { name, chain, hull, clearance_m: rules.clearance_m, unmodelled, mirrors: None })
+        let ArmDescription { name, chain, unmodelled, others, .. } = arm;
+        Ok(Self {
+            name,
+            chain,
+            hull,
+            clearance_m: rules.clearance_m,
+            unmodelled,
+            mirrors: None,
+            others,
+            description: description.into(),
+        })
     }
 
     /// Whether nothing comes too near to anything at `q`.

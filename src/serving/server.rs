@@ -141,6 +141,12 @@ impl PrimitiveServer {
         Ok(())
     }
 
+    /// Forgets what was heard: the task's locations, and where the arm is. Settings and defaults stay.
+    pub fn forget(&mut self) {
+        self.given.fill(None);
+        self.joints.fill(None);
+    }
+
     /// Takes note of where joints are by name (rad, or m), heard at `now_secs` on a clock that never goes back.
     /// Joints of others may be among them, and the arm's may come in several messages; what is not finite is
     /// not heard.

@@ -27,6 +27,10 @@ trajectory_msgs/msg/JointTrajectoryPoint trajectory_msgs/msg/JointTrajectory
 trajectory_msgs/msg/MultiDOFJointTrajectoryPoint trajectory_msgs/msg/MultiDOFJointTrajectory
 std_msgs/msg/ColorRGBA sensor_msgs/msg/CompressedImage
 visualization_msgs/msg/UVCoordinate visualization_msgs/msg/MeshFile
+diagnostic_msgs/msg/KeyValue diagnostic_msgs/msg/DiagnosticStatus diagnostic_msgs/msg/DiagnosticArray
+lifecycle_msgs/msg/TransitionEvent lifecycle_msgs/srv/GetState_Request lifecycle_msgs/srv/GetState_Response
+lifecycle_msgs/srv/ChangeState_Request lifecycle_msgs/srv/ChangeState_Response
+lifecycle_msgs/srv/GetAvailableStates_Response lifecycle_msgs/srv/GetAvailableTransitions_Response
 visualization_msgs/msg/Marker visualization_msgs/msg/MarkerArray
 nav_msgs/msg/Path std_srvs/srv/Trigger_Request std_srvs/srv/Trigger_Response
 tcvae_msgs/msg/TaskLocation tcvae_msgs/msg/MannerParameter tcvae_msgs/msg/Sample

@@ -104,7 +104,7 @@ def test_parameters_have_descriptions_types_and_ranges(node, user):
     assert [d.type for d in descriptors] == [v.type for v in values] == list(types)
     assert all(len(d.description) > 10 for d in descriptors)
     by_name = dict(zip(names, descriptors))
-    assert {n for n in names if by_name[n].read_only} == {"robot_path", "urdf_path", "base_frame",
+    assert {n for n in names if by_name[n].read_only} == {"autostart", "robot_path", "urdf_path", "base_frame",
                                                          "tip_link"}
     (bounds,) = by_name[f"manner.{axis.name}"].floating_point_range
     assert (bounds.from_value, bounds.to_value) == (axis.lower, axis.upper)

@@ -12,8 +12,8 @@ mod standard;
 pub mod tcvae_msgs;
 
 pub use standard::{
-    builtin_interfaces, geometry_msgs, nav_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs,
-    trajectory_msgs, visualization_msgs,
+    builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, nav_msgs, sensor_msgs,
+    std_msgs, std_srvs, tf2_msgs, trajectory_msgs, visualization_msgs,
 };
 
 /// Marks structs as messages for ros2-client.

@@ -332,6 +332,156 @@ pub mod nav_msgs {
     super::super::messages!(Path);
 }
 
+/// How a node is, for people who watch over robots.
+pub mod diagnostic_msgs {
+    use super::std_msgs::Header;
+    use serde::{Deserialize, Serialize};
+
+    /// A name and a value.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct KeyValue {
+        /// What it is.
+        pub key: String,
+        /// What it is worth.
+        pub value: String,
+    }
+
+    /// How one thing is.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct DiagnosticStatus {
+        /// 0 well, 1 a warning, 2 an error, 3 stale.
+        pub level: u8,
+        /// What it is about.
+        pub name: String,
+        /// How it is.
+        pub message: String,
+        /// The hardware.
+        pub hardware_id: String,
+        /// Details.
+        pub values: Vec<KeyValue>,
+    }
+
+    impl DiagnosticStatus {
+        /// All is well.
+        pub const OK: u8 = 0;
+        /// Something to look at.
+        pub const WARN: u8 = 1;
+    }
+
+    /// How several things are.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct DiagnosticArray {
+        /// When.
+        pub header: Header,
+        /// The things.
+        pub status: Vec<DiagnosticStatus>,
+    }
+
+    super::super::messages!(KeyValue, DiagnosticStatus, DiagnosticArray);
+}
+
+/// The states of a managed node.
+pub mod lifecycle_msgs {
+    use serde::{Deserialize, Serialize};
+
+    /// A state.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct State {
+        /// Its number.
+        pub id: u8,
+        /// Its name.
+        pub label: String,
+    }
+
+    /// What leads from one state to another.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct Transition {
+        /// Its number.
+        pub id: u8,
+        /// Its name; where a request has one, it counts.
+        pub label: String,
+    }
+
+    /// A transition with its two ends.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct TransitionDescription {
+        /// The transition.
+        pub transition: Transition,
+        /// Where it begins.
+        pub start_state: State,
+        /// Where it leads.
+        pub goal_state: State,
+    }
+
+    /// A transition that has happened.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct TransitionEvent {
+        /// When, ns.
+        pub timestamp: u64,
+        /// The transition.
+        pub transition: Transition,
+        /// Where it began.
+        pub start_state: State,
+        /// Where it led.
+        pub goal_state: State,
+    }
+
+    /// A request without fields; ROS sends one byte in their place.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct EmptyRequest {
+        /// Without meaning.
+        pub structure_needs_at_least_one_member: u8,
+    }
+
+    /// The request of `lifecycle_msgs/srv/ChangeState`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct ChangeStateRequest {
+        /// What is asked for.
+        pub transition: Transition,
+    }
+
+    /// The response of `lifecycle_msgs/srv/ChangeState`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct ChangeStateResponse {
+        /// Whether the node is in the new state.
+        pub success: bool,
+    }
+
+    /// The response of `lifecycle_msgs/srv/GetState`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct GetStateResponse {
+        /// The state that the node is in.
+        pub current_state: State,
+    }
+
+    /// The response of `lifecycle_msgs/srv/GetAvailableStates`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct GetAvailableStatesResponse {
+        /// All states.
+        pub available_states: Vec<State>,
+    }
+
+    /// The response of `lifecycle_msgs/srv/GetAvailableTransitions`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct GetAvailableTransitionsResponse {
+        /// Those that lead away from the state that the node is in, or all.
+        pub available_transitions: Vec<TransitionDescription>,
+    }
+
+    super::super::messages!(
+        State,
+        Transition,
+        TransitionDescription,
+        TransitionEvent,
+        EmptyRequest,
+        ChangeStateRequest,
+        ChangeStateResponse,
+        GetStateResponse,
+        GetAvailableStatesResponse,
+        GetAvailableTransitionsResponse,
+    );
+}
+
 /// Shapes for people to look at.
 pub mod visualization_msgs {
     use super::builtin_interfaces::Duration;

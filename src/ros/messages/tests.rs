@@ -71,6 +71,8 @@ fn without_package(idl: &str) -> String {
     match (idl.split_once('<'), idl.rsplit_once('/')) {
         (Some((outer, _)), Some((_, last))) => format!("{outer}<{last}"),
         (None, Some((_, last))) => last.into(),
+        // ROS's `byte`.
+        (_, None) if idl == "octet" => "uint8".into(),
         (_, None) => idl.into(),
     }
 }
@@ -131,6 +133,24 @@ fn check(golden: &Golden) {
         "visualization_msgs/msg/MeshFile" => check_ours::<visualization_msgs::MeshFile>,
         "visualization_msgs/msg/Marker" => check_ours::<visualization_msgs::Marker>,
         "visualization_msgs/msg/MarkerArray" => check_ours::<visualization_msgs::MarkerArray>,
+        "diagnostic_msgs/msg/KeyValue" => check_ours::<diagnostic_msgs::KeyValue>,
+        "diagnostic_msgs/msg/DiagnosticStatus" => check_ours::<diagnostic_msgs::DiagnosticStatus>,
+        "diagnostic_msgs/msg/DiagnosticArray" => check_ours::<diagnostic_msgs::DiagnosticArray>,
+        "lifecycle_msgs/msg/TransitionEvent" => check_ours::<lifecycle_msgs::TransitionEvent>,
+        "lifecycle_msgs/srv/GetState_Request" => check_ours::<lifecycle_msgs::EmptyRequest>,
+        "lifecycle_msgs/srv/ChangeState_Request" => {
+            check_ours::<lifecycle_msgs::ChangeStateRequest>
+        }
+        "lifecycle_msgs/srv/ChangeState_Response" => {
+            check_ours::<lifecycle_msgs::ChangeStateResponse>
+        }
+        "lifecycle_msgs/srv/GetState_Response" => check_ours::<lifecycle_msgs::GetStateResponse>,
+        "lifecycle_msgs/srv/GetAvailableStates_Response" => {
+            check_ours::<lifecycle_msgs::GetAvailableStatesResponse>
+        }
+        "lifecycle_msgs/srv/GetAvailableTransitions_Response" => {
+            check_ours::<lifecycle_msgs::GetAvailableTransitionsResponse>
+        }
         "nav_msgs/msg/Path" => check_ours::<nav_msgs::Path>,
         "std_srvs/srv/Trigger_Request" => check_ours::<std_srvs::TriggerRequest>,
         "std_srvs/srv/Trigger_Response" => check_ours::<std_srvs::TriggerResponse>,

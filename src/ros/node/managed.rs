@@ -1,0 +1,119 @@
+//! The node as a managed one: who asks is told where it is, and may lead it elsewhere.
+
+use std::sync::Arc;
+
+use tokio::task::JoinSet;
+
+use super::super::lifecycle::{self, Lifecycle};
+use super::super::messages::lifecycle_msgs::{
+    ChangeStateRequest, ChangeStateResponse, EmptyRequest, GetAvailableStatesResponse,
+    GetAvailableTransitionsResponse, GetStateResponse, Transition, TransitionDescription,
+    TransitionEvent,
+};
+use super::super::wiring::{Reply, WiringError, answer};
+use super::{Shared, with};
+use crate::serving::{ErrorCode, Refusal};
+
+impl Shared {
+    /// Nothing is served but by an active node.
+    pub(super) fn check_active(&self, at: Lifecycle) -> Result<(), Refusal> {
+        let next = match at {
+            Lifecycle::Active => return Ok(()),
+            Lifecycle::Unconfigured => "configure it, then activate it",
+            Lifecycle::Inactive => "activate it",
+            Lifecycle::Finalized => "start it again",
+        };
+        let (state, name) = (at.state().label, &self.names);
+        let command = match at {
+            Lifecycle::Finalized => String::new(),
+            _ => format!(": ros2 lifecycle set {name} {}", at.ways_on().replace(", ", "|")),
+        };
+        let message = format!("the node is {state}; {next}{command}");
+        Err(Refusal::new(ErrorCode::NotActive, message))
+    }
+
+    pub(super) fn serve_lifecycle(
+        self: &Arc<Self>,
+        tasks: &mut JoinSet<()>,
+    ) -> Result<(), WiringError> {
+        let mut wiring = self.wiring();
+
+        let server = wiring.service("~/change_state", ("lifecycle_msgs", "ChangeState"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |request: ChangeStateRequest, reply: Reply<_, _>| {
+            if let Some(success) = with(&shared, |shared| shared.change_state(&request.transition))
+            {
+                reply.send(ChangeStateResponse { success });
+            }
+            async {}
+        }));
+
+        let server = wiring.service("~/get_state", ("lifecycle_msgs", "GetState"))?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |_: EmptyRequest, reply: Reply<_, _>| {
+            if let Some(current_state) = with(&shared, |shared| shared.state().lifecycle.state()) {
+                reply.send(GetStateResponse { current_state });
+            }
+            async {}
+        }));
+
+        let server =
+            wiring.service("~/get_available_states", ("lifecycle_msgs", "GetAvailableStates"))?;
+        tasks.spawn(answer(server, move |_: EmptyRequest, reply: Reply<_, _>| {
+            reply.send(GetAvailableStatesResponse { available_states: lifecycle::states() });
+            async {}
+        }));
+
+        let transitions = ("lifecycle_msgs", "GetAvailableTransitions");
+        let server = wiring.service("~/get_available_transitions", transitions)?;
+        let shared = Arc::downgrade(self);
+        tasks.spawn(answer(server, move |_: EmptyRequest, reply: Reply<_, _>| {
+            let available = with(&shared, |shared| shared.state().lifecycle.available());
+            if let Some(available_transitions) = available {
+                reply.send(GetAvailableTransitionsResponse { available_transitions });
+            }
+            async {}
+        }));
+
+        let server = wiring.service("~/get_transition_graph", transitions)?;
+        tasks.spawn(answer(server, move |_: EmptyRequest, reply: Reply<_, _>| {
+            let available_transitions = lifecycle::graph();
+            reply.send(GetAvailableTransitionsResponse { available_transitions });
+            async {}
+        }));
+        Ok(())
+    }
+
+    /// Leads the node elsewhere; whether it is there.
+    fn change_state(&self, asked: &Transition) -> bool {
+        let step = {
+            let mut state = self.state();
+            let at = state.lifecycle;
+            let Some(step) = at.step(asked) else {
+                log::warn!(
+                    "the transition {} ({:?}) does not lead away from {}; {} does",
+                    asked.id,
+                    asked.label,
+                    at.state().label,
+                    at.ways_on()
+                );
+                return false;
+            };
+            if step.goal() == Lifecycle::Unconfigured {
+                state.server.forget();
+            }
+            state.lifecycle = step.goal();
+            step
+        };
+        log::info!("the node is {}", step.goal().state().label);
+        let timestamp = u64::try_from(self.stamp().to_nanos()).unwrap_or_default();
+        for event in step.events() {
+            let TransitionDescription { transition, start_state, goal_state } = event;
+            let event = TransitionEvent { timestamp, transition, start_state, goal_state };
+            if let Err(e) = self.transition_event.publish(event) {
+                log::warn!("a transition event could not be sent: {e}");
+            }
+        }
+        true
+    }
+}
