@@ -147,6 +147,8 @@ struct Given {
     /// Whether it came as a goal pose, which asks for a trajectory.
     is_goal: bool,
     received: Instant,
+    /// Which time that the node was active it came in; none where it was not.
+    activation: Option<u64>,
 }
 
 impl Given {
@@ -168,8 +170,8 @@ fn may_come(refusal: &Refusal) -> bool {
 async fn work_off(shared: Weak<Shared>) {
     loop {
         let Some(shared) = shared.upgrade() else { return };
-        let first = |shared: &Shared| lock(&shared.waiting).front().map(|given| given.received);
-        let Some(received) = first(&shared) else { return };
+        let first = lock(&shared.waiting).front().map(|given| given.received);
+        let Some(received) = first else { return };
         let located = shared
             .once_heard(received, |shared| match lock(&shared.waiting).front() {
                 Some(given) if given.received == received => shared.locate(given).map(Some),
@@ -182,14 +184,11 @@ async fn work_off(shared: Weak<Shared>) {
             Ok(Some(location)) => Ok(location),
             Err(refusal) => Err(refusal),
         };
-        let given = {
-            let mut waiting = lock(&shared.waiting);
-            match waiting.front() {
-                Some(given) if given.received == received => waiting.pop_front(),
-                _ => None,
-            }
-        };
-        if let Some(given) = given {
+        // Carried out before the next one may be, so that they count in their order.
+        let mut waiting = lock(&shared.waiting);
+        if waiting.front().is_some_and(|given| given.received == received)
+            && let Some(given) = waiting.pop_front()
+        {
             shared.carry_out(&given, done);
         }
     }
@@ -407,49 +406,41 @@ impl Shared {
     fn goal_pose(self: &Arc<Self>, goal: PoseStamped) {
         let location = self.state().server.goal_location().to_owned();
         let PoseStamped { header, pose } = goal;
-        let point = PointStamped { header, point: pose.position };
-        self.given(Given { location, point, is_goal: true, received: Instant::now() });
+        self.given(location, PointStamped { header, point: pose.position }, true);
     }
 
     /// A location of the task; it asks for a trajectory only with `publish_on_task`.
     fn task_location(self: &Arc<Self>, location: &str, point: PointStamped) {
-        let (location, received) = (location.to_owned(), Instant::now());
-        self.given(Given { location, point, is_goal: false, received });
+        self.given(location.to_owned(), point, false);
     }
 
     /// Takes note of a location, now if it is known where it is; else when it is, or not at all. Those that come
     /// after one that waits wait for their turn, so that they count in their order.
-    fn given(self: &Arc<Self>, given: Given) {
-        let at = self.state().lifecycle;
-        if let (Lifecycle::Unconfigured | Lifecycle::Finalized, Err(refusal)) =
-            (at, self.check_active(at))
-        {
-            log::warn!("{} refused: {refusal}", given.what());
-            return;
-        }
+    fn given(self: &Arc<Self>, location: String, point: PointStamped, is_goal: bool) {
+        let activation = self.state().activation();
+        let given = Given { location, point, is_goal, received: Instant::now(), activation };
         let mut waiting = lock(&self.waiting);
+        let located = self.locate(&given);
+        let waits = matches!(&located, Err(refusal) if given.may_wait(refusal));
         if waiting.is_empty() {
-            match self.locate(&given) {
-                Err(refusal) if given.may_wait(&refusal) => {
-                    waiting.push_back(given);
-                    tokio::spawn(work_off(Arc::downgrade(self)));
-                }
-                located => {
-                    drop(waiting);
-                    self.carry_out(&given, located);
-                }
+            if waits {
+                waiting.push_back(given);
+                tokio::spawn(work_off(Arc::downgrade(self)));
+            } else {
+                self.carry_out(&given, located);
             }
             return;
         }
-        // Of those that wait on one topic the last one counts.
+        // Of those that wait on one topic the last one counts; but the first of all is only given up for one that
+        // need not wait, or a quick succession would never come to its turn.
         let same =
             |other: &Given| (&other.location, other.is_goal) == (&given.location, given.is_goal);
-        if let Some(place) = waiting.iter().position(same)
-            && let Some(old) = waiting.remove(place)
-        {
-            let superseded = self.locate(&old).map(|_| ()).err();
-            let reason = superseded.map_or("another one came".into(), |r| r.to_string());
-            log::warn!("{} refused: {reason}; a later one takes its place", old.what());
+        let place = (usize::from(waits)..waiting.len()).find(|i| same(&waiting[*i]));
+        if let Some(old) = place.and_then(|place| waiting.remove(place)) {
+            log::warn!(
+                "{} refused: its transform did not come before a later one took its place",
+                old.what()
+            );
         }
         waiting.push_back(given);
         drop(waiting);
@@ -461,16 +452,18 @@ impl Shared {
         self.frames.location(&lock(&self.tree), &given.location, header, point)
     }
 
+    /// What becomes of a location. Nobody else's may be carried out meanwhile: the caller holds those that wait.
     fn carry_out(self: &Arc<Self>, given: &Given, located: Result<GivenLocation, Refusal>) {
         let publish = given.is_goal || self.state().publish_on_task;
         let done =
             located.and_then(|location| self.set_location(&location)).and_then(
                 |()| match publish {
-                    true => self.publish_latest(given.received),
+                    true => self.publish_latest(given.received, given.activation),
                     false => Ok(()),
                 },
             );
         if let Err(refusal) = done {
+            lock(&self.counts).turned_away(&refusal);
             log::warn!("{} refused: {refusal}", given.what());
         }
     }
@@ -518,7 +511,11 @@ impl Shared {
 
     fn set_location(&self, location: &GivenLocation) -> Result<(), Refusal> {
         let now_secs = self.now_secs();
-        self.state().server.set_location(&location.name, location.xy, now_secs)?;
+        let mut state = self.state();
+        if let Lifecycle::Unconfigured | Lifecycle::Finalized = state.lifecycle {
+            return Err(self.not_active(state.lifecycle));
+        }
+        state.server.set_location(&location.name, location.xy, now_secs)?;
         log::debug!("{} is ({:.3}, {:.3})", location.name, location.xy[0], location.xy[1]);
         Ok(())
     }
@@ -583,7 +580,12 @@ impl Shared {
 
     /// Samples for the task that is the latest when its turn comes, and publishes. So of many
     /// goals in a burst the last is served, and those before it only if there is time.
-    fn publish_latest(self: &Arc<Self>, received: Instant) -> Result<(), Refusal> {
+    fn publish_latest(
+        self: &Arc<Self>,
+        received: Instant,
+        activation: Option<u64>,
+    ) -> Result<(), Refusal> {
+        self.check_active(&self.state(), activation)?;
         if self.goal_waits.swap(true, SeqCst) {
             return Ok(());
         }
@@ -601,22 +603,25 @@ impl Shared {
         received: Instant,
         done: impl FnOnce(&SampleReply) + Send + 'static,
     ) -> Result<(), Refusal> {
-        self.sample(turn, SampleRequest::default(), move |shared, reply| {
-            if let Some(sample) = reply.samples.first() {
-                shared.publish(sample, &reply.model_id, received);
-            }
-            done(&reply);
+        self.sample(turn, received, SampleRequest::default(), move |shared, reply, activation| {
+            done(&shared.published(reply, received, activation));
         })
     }
 
-    /// Answers a request when its turn comes, with the state of that moment, and then does something with the answer.
+    /// Answers a request when its turn comes, with the state of that moment, and then does something with the
+    /// answer, which is also told which time that the node was active it was asked for in.
     fn sample(
         self: &Arc<Self>,
         turn: Turn,
+        received: Instant,
         request: SampleRequest,
-        then: impl FnOnce(&Self, SampleReply) + Send + 'static,
+        then: impl FnOnce(&Self, SampleReply, Option<u64>) + Send + 'static,
     ) -> Result<(), Refusal> {
-        self.check_active(self.state().lifecycle)?;
+        let activation = {
+            let state = self.state();
+            self.check_active(&state, state.activation())?;
+            state.activation()
+        };
         let lane = match turn {
             Turn::Goal | Turn::Publish => &self.publishing,
             Turn::Answer => &self.sampling,
@@ -631,7 +636,6 @@ impl Shared {
                 (shared.state().server.clone(), shared.now_secs())
             });
             let Some((server, now_secs)) = now else { return };
-            let began = Instant::now();
             let answered = catch_unwind(AssertUnwindSafe(|| server.sample(&request, now_secs)));
             let reply = answered.unwrap_or_else(|_| SampleReply {
                 samples: Vec::new(),
@@ -648,14 +652,14 @@ impl Shared {
                     ..reply
                 };
                 // The node may have been deactivated meanwhile.
-                if let Err(refusal) = shared.check_active(shared.state().lifecycle) {
+                if let Err(refusal) = shared.check_active(&shared.state(), activation) {
                     reply = SampleReply { samples: Vec::new(), refusal: Some(refusal), ..reply };
                 }
-                lock(&shared.counts).answered(&reply, began.elapsed());
+                lock(&shared.counts).answered(&reply, received.elapsed());
                 if let Some(refusal) = &reply.refusal {
                     log::warn!("{refusal}");
                 }
-                then(shared, reply);
+                then(shared, reply, activation);
             });
         })
     }
@@ -684,41 +688,53 @@ impl Shared {
         }
     }
 
-    fn publish(&self, sample: &Sample, model_id: &str, received: Instant) {
+    /// Publishes the first sample of an answer; the answer then, which is a refusal if it could not be.
+    fn published(
+        &self,
+        reply: SampleReply,
+        received: Instant,
+        activation: Option<u64>,
+    ) -> SampleReply {
+        let Some(sample) = reply.samples.first() else { return reply };
+        match self.publish(sample, &reply.model_id, received, activation) {
+            Ok(()) => reply,
+            Err(refusal) => {
+                log::error!("not published: {refusal}");
+                SampleReply { samples: Vec::new(), refusal: Some(refusal), ..reply }
+            }
+        }
+    }
+
+    fn publish(
+        &self,
+        sample: &Sample,
+        model_id: &str,
+        received: Instant,
+        activation: Option<u64>,
+    ) -> Result<(), Refusal> {
         let (joints, poses) = (&sample.joint_trajectory, &sample.end_effector_trajectory);
         let stamp = self.message_stamp();
-        // Nobody deactivates the node while this is held, so that nothing leaves an inactive one.
+        // Nobody deactivates the node while this is held, so that no motion leaves an inactive one.
         let state = self.state();
-        if let Err(refusal) = self.check_active(state.lifecycle) {
-            log::warn!("not published: {refusal}");
-            return;
-        }
-        let mut lost = Vec::new();
-        if let Err(e) = self.joint_trajectory.publish(self.frames.joint_trajectory(joints)) {
-            lost.push(e.to_string());
-        }
+        self.check_active(&state, activation)?;
+        let lost = |e: &dyn std::fmt::Display| {
+            Refusal::new(ErrorCode::Internal, format!("a trajectory could not be published: {e}"))
+        };
+        let message = self.frames.joint_trajectory(joints);
+        self.joint_trajectory.publish(message).map_err(|e| lost(&e))?;
         let took_ms = received.elapsed().as_secs_f64() * 1e3;
-        let tolerance_m = state.server.settings().tolerance_m;
         let message = self.frames.end_effector_trajectory(poses);
-        if let Err(e) = self.end_effector_trajectory.publish(message) {
-            lost.push(e.to_string());
-        }
-        if let Err(e) = self.end_effector_path.publish(self.frames.path(poses, stamp)) {
-            lost.push(e.to_string());
-        }
+        self.end_effector_trajectory.publish(message).map_err(|e| lost(&e))?;
+        self.end_effector_path.publish(self.frames.path(poses, stamp)).map_err(|e| lost(&e))?;
+        let tolerance_m = state.server.settings().tolerance_m;
+        let markers = markers(&self.frames, sample, tolerance_m, stamp);
+        self.markers.publish(markers).map_err(|e| lost(&e))?;
+        self.previewed.send_replace(Some(Arc::new(joints.clone())));
         drop(state);
         lock(&self.counts).published();
-        self.previewed.send_replace(Some(Arc::new(joints.clone())));
-        let markers = markers(&self.frames, sample, tolerance_m, stamp);
-        if let Err(e) = self.markers.publish(markers) {
-            lost.push(e.to_string());
-        }
-        if lost.is_empty() {
-            let notes: String = sample.warnings.iter().map(|w| format!("; note: {w}")).collect();
-            log::info!("published in {took_ms:.2} ms: {}{notes}", summary(sample, model_id));
-        } else {
-            log::error!("a trajectory could not be published: {}", lost.join("; "));
-        }
+        let notes: String = sample.warnings.iter().map(|w| format!("; note: {w}")).collect();
+        log::info!("published in {took_ms:.2} ms: {}{notes}", summary(sample, model_id));
+        Ok(())
     }
 
     // ---- Services ----
@@ -786,6 +802,7 @@ impl Shared {
             });
         });
         if let Err(refusal) = asked {
+            lock(&self.counts).turned_away(&refusal);
             log::warn!("{refusal}");
             reply.send(TriggerResponse { success: false, message: refusal.to_string() });
         }
@@ -798,7 +815,8 @@ impl Shared {
     ) {
         let received = Instant::now();
         let publish = message.publish;
-        match self.frames.request(&lock(&self.tree), message.clone()) {
+        let request = self.frames.request(&lock(&self.tree), message.clone());
+        match request {
             // Not for ever, and not too many of them.
             Err(refusal) if may_come(&refusal) => {
                 if self.requests_waiting.fetch_add(1, SeqCst) >= WAITING {
@@ -830,14 +848,24 @@ impl Shared {
         let turn = if publish { Turn::Publish } else { Turn::Answer };
         let later = reply.clone();
         let asked = request.and_then(|request| {
-            self.sample(turn, request, move |shared, answer| {
-                if let (true, Some(sample)) = (publish, answer.samples.first()) {
-                    shared.publish(sample, &answer.model_id, received);
-                }
-                later.send(shared.frames.response(answer));
+            self.sample(turn, received, request, move |shared, reply, activation| {
+                let reply = match publish {
+                    true => shared.published(reply, received, activation),
+                    false => reply,
+                };
+                // As in publishing: the node stays active until the answer is on its way.
+                let state = shared.state();
+                let reply = match shared.check_active(&state, activation) {
+                    Ok(()) => reply,
+                    Err(refusal) => {
+                        SampleReply { samples: Vec::new(), refusal: Some(refusal), ..reply }
+                    }
+                };
+                later.send(shared.frames.response(reply));
             })
         });
         if let Err(refusal) = asked {
+            lock(&self.counts).turned_away(&refusal);
             log::warn!("{refusal}");
             let model_id = self.state().server.model().model_id.clone();
             let samples = Vec::new();

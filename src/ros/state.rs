@@ -61,6 +61,8 @@ pub struct NodeState {
     pub use_sim_time: bool,
     /// Whether it serves.
     pub lifecycle: Lifecycle,
+    /// How often it was activated.
+    activations: u64,
     /// Whether it served from the start, without being told to.
     autostart: bool,
     /// How long a transform is waited for (s).
@@ -152,6 +154,7 @@ impl NodeState {
             publish_on_task: false,
             use_sim_time: false,
             lifecycle: if autostart { Lifecycle::Active } else { Lifecycle::Unconfigured },
+            activations: 0,
             autostart,
             tf_timeout_secs: 0.5,
             model_path,
@@ -173,6 +176,19 @@ impl NodeState {
             }
         }
         Ok((state, warnings))
+    }
+
+    /// Leads it to another state.
+    pub fn move_to(&mut self, lifecycle: Lifecycle) {
+        self.lifecycle = lifecycle;
+        if lifecycle == Lifecycle::Active {
+            self.activations += 1;
+        }
+    }
+
+    /// Which time it is that the node is active; none while it is not.
+    pub fn activation(&self) -> Option<u64> {
+        (self.lifecycle == Lifecycle::Active).then_some(self.activations)
     }
 
     /// Path of the model; empty for the built-in one.

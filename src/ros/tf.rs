@@ -119,6 +119,10 @@ impl FrameTree {
             };
             edge.parent != parent || goes_back
         });
+        if begins_anew && (parent == child || self.is_above(child, parent)) {
+            // Before anything of it is forgotten.
+            return Err("it would close a circle".into());
+        }
         if begins_anew {
             // What is below it stays: those edges are their own.
             let _ = self.registry.remove_frame(child);
@@ -166,6 +170,13 @@ impl FrameTree {
     pub fn known(&self) -> Vec<String> {
         let frames = self.edges.iter().flat_map(|(child, edge)| [child, &edge.parent]);
         frames.collect::<BTreeSet<_>>().into_iter().cloned().collect()
+    }
+
+    /// Whether a frame is above another one, which hangs on it.
+    fn is_above(&self, above: &str, frame: &str) -> bool {
+        let parent = |frame: &&str| self.edges.get(*frame).map(|edge| edge.parent.as_str());
+        // No way up is longer than there are edges.
+        std::iter::successors(Some(frame), parent).take(self.edges.len() + 1).any(|f| f == above)
     }
 
     fn error(&self, error: &RegistryError) -> LookupError {
@@ -330,6 +341,12 @@ mod tests {
         assert!(tree.known().is_empty());
         tree.hear(&edge("base", "cup", 0.1, 0.0, 1.0), false).unwrap();
         assert!(tree.hear(&edge("cup", "base", 0.1, 0.0, 1.0), false).is_err(), "a circle");
+        tree.hear(&edge("cup", "spoon", 0.1, 0.0, 1.0), false).unwrap();
+        for is_static in [false, true] {
+            let circle = edge("spoon", "cup", 0.1, 0.0, 1.0);
+            let error = tree.hear(&circle, is_static);
+            assert!(is_static || error.unwrap_err().contains("circle"));
+        }
         assert_eq!(x_of(&tree, "cup", 0.0).unwrap(), 0.1);
     }
 

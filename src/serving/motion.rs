@@ -23,6 +23,8 @@ use crate::trajectory::{EndEffectorTrajectory, JointTrajectory, Motion};
 const AIM_ROUNDS: usize = 3;
 /// Share of the tolerance within which a motion need not be aimed better.
 const AIM_SHARE: f64 = 0.05;
+/// Points of a motion at a rate that is asked for, at most.
+pub(super) const MOST_POINTS: f64 = 5000.0;
 /// Largest factor by which a motion is slowed down beyond what the velocity scale alone asks for.
 const MOST_SLOWDOWN: f64 = 4.0;
 /// A motion whose ends are faster than rest gathers and loses speed at these rates of the tip.
@@ -137,13 +139,28 @@ impl Order {
         let stddev = generated.stddev.clone();
         let decoded = generated.motion(model.duration_secs);
         let (mut motion, mut shares) = at_rest(model, &decoded, decoded.states.steps());
-        let mut executed = self.executed(model, robot, &motion, effort)?;
+        let mut executed = self.executed(model, robot, &motion, effort, self.start.positions())?;
         if let Some(rate_hz) = self.rate_hz {
             // The rate counts in the time that the motion takes once it is slowed down.
             let duration = motion.duration_secs / self.speed * executed.timed.slowdown;
-            let points = (duration * rate_hz).round().max(1.0) as usize + 1;
-            (motion, shares) = at_rest(model, &decoded, points);
-            executed = self.executed(model, robot, &motion, effort)?;
+            let points = duration * rate_hz;
+            if points > MOST_POINTS {
+                return Err(Failure {
+                    refusal: Refusal::new(
+                        ErrorCode::BadRequest,
+                        format!(
+                            "rate_hz = {rate_hz} makes {points:.0} points of a motion that takes {duration:.1} s; \
+                             at most {MOST_POINTS} are served; choose a lower rate"
+                        ),
+                    ),
+                    stage: 1,
+                    excess: points / MOST_POINTS,
+                });
+            }
+            (motion, shares) = at_rest(model, &decoded, points.round().max(1.0) as usize + 1);
+            // The same way, and so as fast.
+            let first = executed.timed.trajectory.positions[0].clone();
+            executed = self.executed(model, robot, &motion, effort, Some(&first))?;
         }
         let empirical = self.check_task(model, &executed)?;
         self.check_validity(model, &executed)?;
@@ -243,13 +260,14 @@ impl Order {
         generated
     }
 
-    /// What the arm does to follow the motion.
+    /// What the arm does to follow the motion, from a configuration near to one if that is possible.
     fn executed(
         &self,
         model: &ServedModel,
         robot: &Robot,
         motion: &Motion,
         effort: Effort,
+        near: Option<&Vec<f64>>,
     ) -> Result<Executed, Failure> {
         let chain = &robot.chain;
         let step_secs = motion.step_secs();
@@ -263,7 +281,7 @@ impl Order {
             postures,
             hull: Some(&robot.hull),
             clearance_m: robot.clearance_m,
-            start: self.start.positions().cloned(),
+            start: near.cloned(),
             limit_margin: LIMIT_MARGIN,
             ..match effort {
                 Effort::Quick => FollowOptions {

@@ -12,7 +12,7 @@ use rand::rngs::ChaCha8Rng;
 use crate::kinematics::timing::Scales;
 use crate::parameters::{MannerParameters, ParameterError, TaskLocation, TaskParameters};
 use crate::serving::mirrored::mirrored;
-use crate::serving::motion::{Effort, Failure, Order, Start, could_be_followed};
+use crate::serving::motion::{Effort, Failure, MOST_POINTS, Order, Start, could_be_followed};
 use crate::serving::{
     Description, ErrorCode, GivenLocation, MAX_COUNT, MannerMode, OutOfDistribution, RankBy,
     Refusal, Robot, SPEEDS, Sample, SampleReply, SampleRequest, ServedModel, Settings, StartPolicy,
@@ -505,7 +505,6 @@ impl PrimitiveServer {
 
     /// The rate that is asked for, if it makes a sensible number of points.
     fn rate(&self, rate_hz: f64) -> Result<Option<f64>, Refusal> {
-        const MOST_POINTS: f64 = 5000.0;
         if rate_hz == 0.0 {
             return Ok(None);
         }

@@ -155,3 +155,11 @@ def test_a_ghost_plays_the_motion_at_its_speed(node, user):
     count = len(ghost)
     user.wait(0.5)
     assert len(ghost) == count
+    # And it stops where the node is deactivated.
+    user.ask(*GOAL)
+    user.wait(0.3)
+    assert change(user, "deactivate")
+    user.wait(0.1)
+    count = len(ghost)
+    user.wait(0.5)
+    assert len(ghost) == count

@@ -114,7 +114,7 @@ def test_a_goal_waits_for_its_transform_and_a_later_one_is_not_overtaken(tf, use
     user.wait(1.0)
     assert_pours(user.joints[-1], arm, OTHER_GOAL)
     assert len(user.joints) == 2
-    user.hears("a later one takes its place")
+    user.hears("a later one took its place")
     # What the goal needs is not overtaken by it either.
     user.locations["source_cup"].publish(location("source_cup", 0.01, 0.02, frame="saucer").point)
     user.wait(0.1)
@@ -123,6 +123,19 @@ def test_a_goal_waits_for_its_transform_and_a_later_one_is_not_overtaken(tf, use
     tf.move(edge("base", "saucer", SOURCE[0] - 0.01, SOURCE[1] - 0.02, at=7.0))
     user.wait(0.5)
     assert_pours(user.joints[-1], arm, GOAL)
+
+
+def test_a_quick_succession_of_locations_comes_to_its_turn(tf, user, arm):
+    user.publish_location("source_cup", SOURCE[0], SOURCE[1] - 0.08)
+    late = 5  # messages until a transform comes
+    for i in range(40):
+        cup = location("source_cup", SOURCE[0] - 0.1, SOURCE[1], frame="belt").point
+        cup.header.stamp = stamp(100 + 0.02 * i)
+        user.locations["source_cup"].publish(cup)
+        if i >= late:
+            tf.move(edge("base", "belt", 0.1, at=100 + 0.02 * (i - late)))
+        user.wait(0.02)
+    assert_pours(user.ask(*GOAL)[0], arm, GOAL)
 
 
 def sample(user, frame, point, at=0.0):

@@ -41,7 +41,8 @@ impl Counts {
         self.samples += reply.samples.len() as u64;
         self.last_refused = reply.refusal.is_some();
         if let Some(refusal) = &reply.refusal {
-            self.refused(refusal);
+            self.refused += 1;
+            self.last_error = Some(refusal.to_string());
         }
         if self.millis.len() == LATENCIES {
             self.millis.pop_front();
@@ -49,8 +50,11 @@ impl Counts {
         self.millis.push_back(1e3 * took.as_secs_f64());
     }
 
-    fn refused(&mut self, refusal: &Refusal) {
+    /// A request that was refused before anybody looked for a motion.
+    pub(super) fn turned_away(&mut self, refusal: &Refusal) {
+        self.requests += 1;
         self.refused += 1;
+        self.last_refused = true;
         self.last_error = Some(refusal.to_string());
     }
 

@@ -10,17 +10,32 @@ use super::super::messages::lifecycle_msgs::{
     GetAvailableTransitionsResponse, GetStateResponse, Transition, TransitionDescription,
     TransitionEvent,
 };
+use super::super::state::NodeState;
 use super::super::wiring::{Reply, WiringError, answer};
-use super::{Shared, with};
+use super::{Shared, lock, with};
 use crate::serving::{ErrorCode, Refusal};
 
 impl Shared {
-    /// Nothing is served but by an active node.
-    pub(super) fn check_active(&self, at: Lifecycle) -> Result<(), Refusal> {
+    /// Nothing is served but by an active node, and nothing that was asked for before it was last activated.
+    pub(super) fn check_active(
+        &self,
+        state: &NodeState,
+        asked_in: Option<u64>,
+    ) -> Result<(), Refusal> {
+        match (state.activation(), asked_in) {
+            (None, _) => Err(self.not_active(state.lifecycle)),
+            (now, asked) if now == asked => Ok(()),
+            _ => Err(Refusal::new(
+                ErrorCode::NotActive,
+                "the node was not active all the time since this was asked for; ask again",
+            )),
+        }
+    }
+
+    pub(super) fn not_active(&self, at: Lifecycle) -> Refusal {
         let next = match at {
-            Lifecycle::Active => return Ok(()),
             Lifecycle::Unconfigured => "configure it, then activate it",
-            Lifecycle::Inactive => "activate it",
+            Lifecycle::Inactive | Lifecycle::Active => "activate it",
             Lifecycle::Finalized => "start it again",
         };
         let (state, name) = (at.state().label, &self.names);
@@ -28,8 +43,7 @@ impl Shared {
             Lifecycle::Finalized => String::new(),
             _ => format!(": ros2 lifecycle set {name} {}", at.ways_on().replace(", ", "|")),
         };
-        let message = format!("the node is {state}; {next}{command}");
-        Err(Refusal::new(ErrorCode::NotActive, message))
+        Refusal::new(ErrorCode::NotActive, format!("the node is {state}; {next}{command}"))
     }
 
     pub(super) fn serve_lifecycle(
@@ -87,6 +101,8 @@ impl Shared {
     /// Leads the node elsewhere; whether it is there.
     fn change_state(&self, asked: &Transition) -> bool {
         let step = {
+            // Those that wait, too, are asked for in the state that is left.
+            let mut waiting = lock(&self.waiting);
             let mut state = self.state();
             let at = state.lifecycle;
             let Some(step) = at.step(asked) else {
@@ -99,10 +115,19 @@ impl Shared {
                 );
                 return false;
             };
-            if step.goal() == Lifecycle::Unconfigured {
-                state.server.forget();
+            match step.goal() {
+                Lifecycle::Unconfigured => {
+                    state.server.forget();
+                    waiting.clear();
+                }
+                Lifecycle::Finalized => waiting.clear(),
+                Lifecycle::Inactive => waiting.retain(|given| !given.is_goal),
+                Lifecycle::Active => {}
             }
-            state.lifecycle = step.goal();
+            if state.lifecycle == Lifecycle::Active {
+                self.previewed.send_replace(None);
+            }
+            state.move_to(step.goal());
             step
         };
         log::info!("the node is {}", step.goal().state().label);
