@@ -7,7 +7,9 @@ within 1 mm and 0.01 rad with all joints inside their limits.
 Paths are pours of 100 points in 5 s. The peers go from point to point, each from the solution of the one
 before; the first point is tried from up to 64 starts. A path is feasible where TRAC-IK or optik, from up to
 20 starts each, or one of the rows below reaches every single pose. It is complete where every point is
-solved, and in time where besides no joint moves further from point to point than its velocity limit allows.
+solved; continuous where besides no joint moves further from point to point than 0.5 rad and 8 times what its
+velocity limit allows (what is further is a jump to another branch, and not a path); and in time where it keeps
+the velocity limits without being slowed down.
 
 All of it is on one core. TRAC-IK has two threads that share it, so it gets twice the time. Times are those of
 the calls alone, of all feasible paths; peers pay their Python bindings, and pinocchio's loop and pink are
@@ -50,6 +52,7 @@ TIMEOUT_SECS = 0.005
 STARTS = 64
 FEASIBLE_STARTS = 20
 PINK_STEP_SECS = 0.05
+SLOWDOWN, LARGEST_STEP_RAD = 8, 0.5  # what a continuous path may have to be slowed down by, and its largest step
 
 
 class Arm:
@@ -277,10 +280,12 @@ class Outcome:
     def __init__(self, arm, path, positions, ms, step_secs):
         self.ms = ms
         self.complete = positions is not None and all(map(arm.solves, positions, path))
-        self.in_time = False
+        self.continuous = self.in_time = False
         if self.complete:
+            steps = np.abs(np.diff(positions, axis=0))
             largest = arm.velocity * step_secs * (1 + 1e-6)
-            self.in_time = bool((np.abs(np.diff(positions, axis=0)) <= largest).all())
+            self.continuous = bool((steps <= SLOWDOWN * largest).all() and steps.max() <= LARGEST_STEP_RAD)
+            self.in_time = bool((steps <= largest).all())
 
 
 def follow(arm, peer, path, rng):
@@ -319,7 +324,7 @@ def is_feasible(arm, solvers, path, rng):
 
 
 def paths(arm, ours, seed, quick):
-    """By kind: paths, feasible ones, and rows of name, complete, in time, mean and median milliseconds."""
+    """By kind: paths, feasible ones, and rows of name, complete, continuous, in time, mean and median milliseconds."""
     entries, step_secs = ours["paths"], ours["step_secs"]
     targets = [[pose(values) for values in entry["poses"]] for entry in entries]
 
@@ -355,9 +360,10 @@ def paths(arm, ours, seed, quick):
         rows = []
         for name, of in outcomes.items():
             times = [of[i].ms for i in counted] or [float("nan")]
-            complete, in_time = (sum(of[i].complete for i in counted), sum(of[i].in_time for i in counted))
-            rows.append((name, complete, in_time, statistics.mean(times), statistics.median(times)))
-        by_kind[kind] = {"paths": len(of_kind), "feasible": len(counted), "rows": rows}
+            counts = [sum(getattr(of[i], what) for i in counted) for what in ("complete", "continuous", "in_time")]
+            rows.append((name, *counts, statistics.mean(times), statistics.median(times)))
+        followed = sum(any(of[i].continuous for of in outcomes.values()) for i in counted)
+        by_kind[kind] = {"paths": len(of_kind), "feasible": len(counted), "continuous": followed, "rows": rows}
     return by_kind
 
 
@@ -367,11 +373,12 @@ def print_tables(single, count, by_kind):
     for name, share, mean, median in single:
         print(f"| {name} | {100 * share:.2f} % | {mean:.3f} | {median:.3f} |")
     print("\nPours of 100 points in 5 s:\n")
-    print("| kind | solver | complete | in time | mean ms | median ms |\n|---|---|---|---|---|---|")
+    print("| kind | solver | complete | continuous | in time | mean ms | median ms |")
+    print("|---|---|---|---|---|---|---|")
     for kind, of in by_kind.items():
-        title = f"{kind}, {of['feasible']} of {of['paths']} feasible"
-        for name, complete, in_time, mean, median in of["rows"]:
-            print(f"| {title} | {name} | {complete} | {in_time} | {mean:.2f} | {median:.2f} |")
+        title = f"{kind}: {of['feasible']} of {of['paths']} feasible, {of['continuous']} continuous by any"
+        for name, complete, continuous, in_time, mean, median in of["rows"]:
+            print(f"| {title} | {name} | {complete} | {continuous} | {in_time} | {mean:.2f} | {median:.2f} |")
             title = ""
 
 

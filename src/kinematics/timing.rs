@@ -195,8 +195,12 @@ pub fn approach(
             amid => profile.at(amid * duration),
         };
         let way = || from.iter().zip(to).map(|(from, to)| to - from);
-        let position = from.iter().zip(way()).map(|(from, way)| from + share * way);
-        steps.positions.push(position.collect());
+        // Rounding leads nowhere but between the ends, which may be at limits.
+        let position = |(&from, &to): (&f64, &f64)| match share {
+            1.0 => to,
+            share => (from + share * (to - from)).clamp(from.min(to), from.max(to)),
+        };
+        steps.positions.push(from.iter().zip(to).map(position).collect());
         steps.velocities.push(way().map(|way| way * speed * step_secs).collect());
         steps.accelerations.push(way().map(|way| way * acceleration * step_secs.powi(2)).collect());
     }
@@ -630,7 +634,11 @@ mod tests {
             let Timed { trajectory, slowdown } =
                 approach(&chain, &from, &to, 0.05, Scales::default()).unwrap();
             let last = trajectory.positions.len() - 1;
-            prop_assert!((0..2).all(|j| (trajectory.positions[last][j] - to[j]).abs() < 1e-12));
+            prop_assert_eq!(&trajectory.positions[last], &to);
+            for j in 0..2 {
+                let between = from[j].min(to[j])..=from[j].max(to[j]);
+                prop_assert!(trajectory.positions.iter().all(|q| between.contains(&q[j])));
+            }
             prop_assert_eq!(&trajectory.velocities[last][..], &[0.0, 0.0][..]);
             prop_assert!(trajectory.times_secs[0] > 0.0);
             // What the corners of the profile cost between the points is little.
