@@ -816,9 +816,10 @@ impl Shared {
         let received = Instant::now();
         let publish = message.publish;
         let request = self.frames.request(&lock(&self.tree), message.clone());
+        let all_framed = message.task.iter().all(|t| !t.point.header.frame_id.is_empty());
         match request {
             // Not for ever, and not too many of them.
-            Err(refusal) if may_come(&refusal) => {
+            Err(refusal) if all_framed && may_come(&refusal) => {
                 if self.requests_waiting.fetch_add(1, SeqCst) >= WAITING {
                     self.requests_waiting.fetch_sub(1, SeqCst);
                     self.answer_sample(Err(refusal), publish, received, reply);

@@ -99,6 +99,9 @@ impl FrameTree {
         if parent.is_empty() || child.is_empty() {
             return Err("a frame without a name".into());
         }
+        if parent == child {
+            return Err("a frame can't be its own parent".into());
+        }
         let stamp = match is_static {
             true => Stamp::Static,
             false => Stamp::At(timestamp(message.header.stamp).ok_or("its stamp is before 1970")?),
@@ -119,7 +122,7 @@ impl FrameTree {
             };
             edge.parent != parent || goes_back
         });
-        if begins_anew && (parent == child || self.is_above(child, parent)) {
+        if begins_anew && self.is_above(child, parent) {
             // Before anything of it is forgotten.
             return Err("it would close a circle".into());
         }

@@ -25,6 +25,9 @@ const AIM_ROUNDS: usize = 3;
 const AIM_SHARE: f64 = 0.05;
 /// Points of a motion at a rate that is asked for, at most.
 pub(super) const MOST_POINTS: f64 = 5000.0;
+/// How often a motion is made anew until it has the points of its rate, give or take one in so many.
+const RATE_ROUNDS: usize = 3;
+const RATE_SHARE: usize = 50;
 /// Largest factor by which a motion is slowed down beyond what the velocity scale alone asks for.
 const MOST_SLOWDOWN: f64 = 4.0;
 /// A motion whose ends are faster than rest gathers and loses speed at these rates of the tip.
@@ -141,26 +144,18 @@ impl Order {
         let (mut motion, mut shares) = at_rest(model, &decoded, decoded.states.steps());
         let mut executed = self.executed(model, robot, &motion, effort, self.start.positions())?;
         if let Some(rate_hz) = self.rate_hz {
-            // The rate counts in the time that the motion takes once it is slowed down.
-            let duration = motion.duration_secs / self.speed * executed.timed.slowdown;
-            let points = duration * rate_hz;
-            if points > MOST_POINTS {
-                return Err(Failure {
-                    refusal: Refusal::new(
-                        ErrorCode::BadRequest,
-                        format!(
-                            "rate_hz = {rate_hz} makes {points:.0} points of a motion that takes {duration:.1} s; \
-                             at most {MOST_POINTS} are served; choose a lower rate"
-                        ),
-                    ),
-                    stage: 1,
-                    excess: points / MOST_POINTS,
-                });
+            // The rate counts in the time that the motion takes once it is slowed down, which depends on its points.
+            for _ in 0..RATE_ROUNDS {
+                let duration = motion.duration_secs / self.speed * executed.timed.slowdown;
+                let points = self.points(rate_hz, duration)?;
+                if points.abs_diff(motion.states.steps()) * RATE_SHARE <= points {
+                    break;
+                }
+                (motion, shares) = at_rest(model, &decoded, points);
+                // The same way as before, and so about as fast.
+                let first = executed.timed.trajectory.positions[0].clone();
+                executed = self.executed(model, robot, &motion, effort, Some(&first))?;
             }
-            (motion, shares) = at_rest(model, &decoded, points.round().max(1.0) as usize + 1);
-            // The same way, and so as fast.
-            let first = executed.timed.trajectory.positions[0].clone();
-            executed = self.executed(model, robot, &motion, effort, Some(&first))?;
         }
         let empirical = self.check_task(model, &executed)?;
         self.check_validity(model, &executed)?;
@@ -207,6 +202,25 @@ impl Order {
             seed: 0,
             tries: 0,
             warnings,
+        })
+    }
+
+    /// How many points a motion of a duration has at a rate.
+    fn points(&self, rate_hz: f64, duration_secs: f64) -> Result<usize, Failure> {
+        let points = duration_secs * rate_hz;
+        if points <= MOST_POINTS {
+            return Ok(points.round().max(1.0) as usize + 1);
+        }
+        Err(Failure {
+            refusal: Refusal::new(
+                ErrorCode::BadRequest,
+                format!(
+                    "rate_hz = {rate_hz} makes {points:.0} points of a motion that takes {duration_secs:.1} s; at \
+                     most {MOST_POINTS} are served; choose a lower rate"
+                ),
+            ),
+            stage: 1,
+            excess: points / MOST_POINTS,
         })
     }
 
