@@ -264,7 +264,7 @@ def test_too_many_requests_at_once_are_busy_and_all_are_answered(node, user):
     request = SampleTrajectory.Request(task=task((2.5, 0.3), SOURCE), sample_manner=True,
                                        allow_out_of_distribution=True)
     user.set_parameter("sample.max_tries", 40)
-    # One is worked on and 16 wait; rclpy keeps no more than 10 answers that it has not looked at.
+    # 16 wait, and one is worked on, unless all have come before it was begun; rclpy keeps no more than 10 answers that it has not looked at.
     futures = [client.call_async(request) for _ in range(25)]
     # Meanwhile parameters answer.
     assert user.parameter("task.tolerance_m") == 0.02
@@ -272,7 +272,7 @@ def test_too_many_requests_at_once_are_busy_and_all_are_answered(node, user):
     assert user.until(lambda: all(future.done() for future in futures), 60.0)
     codes = [future.result().error_code for future in futures]
     assert set(codes) == {ErrorCode.UNREACHABLE, ErrorCode.BUSY}
-    assert codes.count(ErrorCode.BUSY) <= 8
+    assert codes.count(ErrorCode.BUSY) <= 9
     refused = next(f.result() for f in futures if f.result().error_code == ErrorCode.BUSY)
     assert "16" in refused.error_message
     failed = next(f.result() for f in futures if f.result().error_code == ErrorCode.UNREACHABLE)
