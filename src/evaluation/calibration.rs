@@ -1,6 +1,5 @@
-//! How well predicted deviations fit errors, and what makes them fit: a decoder that was trained with a bound
-//! below its variances, or that saw its validation part less often than its training part, is too sure or not
-//! sure enough, so its deviations are scaled by what the validation part shows.
+//! How well predicted deviations fit errors, and what makes them fit: a decoder predicts what its training part
+//! left over, which is not what others will, so its deviations are scaled by what the validation part shows.
 
 use serde::{Deserialize, Serialize};
 

@@ -2,6 +2,7 @@
 //! [`PrimitiveServer`].
 
 mod eyes;
+mod locations;
 mod managed;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -29,7 +30,6 @@ use super::banner::{Banner, location_command};
 use super::convert::{self, Frames};
 use super::environment::Environment;
 use super::lane::{Lane, WAITING};
-use super::lifecycle::Lifecycle;
 use super::log::NodeLog;
 use super::markers::markers;
 use super::messages::builtin_interfaces::Time;
@@ -54,11 +54,11 @@ use super::state::{Loaded, Loader, NodeState};
 use super::tf::FrameTree;
 use super::wiring::{Reply, Wiring, WiringError, answer, each, latched, reliable};
 use crate::serving::{
-    Description, ErrorCode, GivenLocation, PrimitiveServer, Refusal, Sample, SampleReply,
-    SampleRequest,
+    Description, ErrorCode, PrimitiveServer, Refusal, Sample, SampleReply, SampleRequest,
 };
 use crate::trajectory as core;
 use eyes::Counts;
+use locations::{Given, may_come};
 
 /// Why the node does not run.
 #[derive(Debug, thiserror::Error)]
@@ -138,60 +138,6 @@ struct Clock {
     started: Instant,
     /// Nanoseconds of `/clock`.
     simulated: AtomicI64,
-}
-
-/// A location of the task, as it came on a topic.
-struct Given {
-    location: String,
-    point: PointStamped,
-    /// Whether it came as a goal pose, which asks for a trajectory.
-    is_goal: bool,
-    received: Instant,
-    /// Which time that the node was active it came in; none where it was not.
-    activation: Option<u64>,
-}
-
-impl Given {
-    fn what(&self) -> &str {
-        if self.is_goal { "goal" } else { &self.location }
-    }
-
-    fn may_wait(&self, refusal: &Refusal) -> bool {
-        !self.point.header.frame_id.is_empty() && may_come(refusal)
-    }
-}
-
-/// Whether a refusal is for want of a transform that may still come.
-fn may_come(refusal: &Refusal) -> bool {
-    matches!(refusal.code, ErrorCode::FrameUnknown | ErrorCode::TransformFailed)
-}
-
-/// Deals with the locations that wait for transforms, one after the other.
-async fn work_off(shared: Weak<Shared>) {
-    loop {
-        let Some(shared) = shared.upgrade() else { return };
-        let first = lock(&shared.waiting).front().map(|given| given.received);
-        let Some(received) = first else { return };
-        let located = shared
-            .once_heard(received, |shared| match lock(&shared.waiting).front() {
-                Some(given) if given.received == received => shared.locate(given).map(Some),
-                // Another one took its place.
-                _ => Ok(None),
-            })
-            .await;
-        let done = match located {
-            Ok(None) => continue,
-            Ok(Some(location)) => Ok(location),
-            Err(refusal) => Err(refusal),
-        };
-        // Carried out before the next one may be, so that they count in their order.
-        let mut waiting = lock(&shared.waiting);
-        if waiting.front().is_some_and(|given| given.received == received)
-            && let Some(given) = waiting.pop_front()
-        {
-            shared.carry_out(&given, done);
-        }
-    }
 }
 
 impl RunningNode {
@@ -402,124 +348,6 @@ impl Shared {
 
     // ---- Topics ----
 
-    /// A goal pose sets the first location of the task, and asks for a trajectory.
-    fn goal_pose(self: &Arc<Self>, goal: PoseStamped) {
-        let location = self.state().server.goal_location().to_owned();
-        let PoseStamped { header, pose } = goal;
-        self.given(location, PointStamped { header, point: pose.position }, true);
-    }
-
-    /// A location of the task; it asks for a trajectory only with `publish_on_task`.
-    fn task_location(self: &Arc<Self>, location: &str, point: PointStamped) {
-        self.given(location.to_owned(), point, false);
-    }
-
-    /// Takes note of a location, now if it is known where it is; else when it is, or not at all. Those that come
-    /// after one that waits wait for their turn, so that they count in their order.
-    fn given(self: &Arc<Self>, location: String, point: PointStamped, is_goal: bool) {
-        let activation = self.state().activation();
-        let given = Given { location, point, is_goal, received: Instant::now(), activation };
-        let mut waiting = lock(&self.waiting);
-        let located = self.locate(&given);
-        let waits = matches!(&located, Err(refusal) if given.may_wait(refusal));
-        if waiting.is_empty() {
-            if waits {
-                waiting.push_back(given);
-                tokio::spawn(work_off(Arc::downgrade(self)));
-            } else {
-                self.carry_out(&given, located);
-            }
-            return;
-        }
-        // Of those that wait on one topic the last one counts; but the first of all is only given up for one that
-        // need not wait, or a quick succession would never come to its turn.
-        let same =
-            |other: &Given| (&other.location, other.is_goal) == (&given.location, given.is_goal);
-        let place = (usize::from(waits)..waiting.len()).find(|i| same(&waiting[*i]));
-        if let Some(old) = place.and_then(|place| waiting.remove(place)) {
-            log::warn!(
-                "{} refused: its transform did not come before a later one took its place",
-                old.what()
-            );
-        }
-        waiting.push_back(given);
-        drop(waiting);
-        self.transforms_heard.notify_waiters();
-    }
-
-    fn locate(&self, given: &Given) -> Result<GivenLocation, Refusal> {
-        let PointStamped { header, point } = &given.point;
-        self.frames.location(&lock(&self.tree), &given.location, header, point)
-    }
-
-    /// What becomes of a location. Nobody else's may be carried out meanwhile: the caller holds those that wait.
-    fn carry_out(self: &Arc<Self>, given: &Given, located: Result<GivenLocation, Refusal>) {
-        let publish = given.is_goal || self.state().publish_on_task;
-        let done =
-            located.and_then(|location| self.set_location(&location)).and_then(
-                |()| match publish {
-                    true => self.publish_latest(given.received, given.activation),
-                    false => Ok(()),
-                },
-            );
-        if let Err(refusal) = done {
-            lock(&self.counts).turned_away(&refusal);
-            log::warn!("{} refused: {refusal}", given.what());
-        }
-    }
-
-    /// Tries something that needs transforms until it works, or the time for which they are waited is over.
-    async fn once_heard<T>(
-        &self,
-        received: Instant,
-        attempt: impl Fn(&Self) -> Result<T, Refusal>,
-    ) -> Result<T, Refusal> {
-        let timeout = Duration::from_secs_f64(self.state().tf_timeout_secs);
-        loop {
-            let heard = self.transforms_heard.notified();
-            tokio::pin!(heard);
-            heard.as_mut().enable();
-            match attempt(self) {
-                Err(refusal) if may_come(&refusal) => {
-                    let left = timeout.saturating_sub(received.elapsed());
-                    if tokio::time::timeout(left, heard).await.is_err() {
-                        let message = format!(
-                            "{} (waited for {:.1} s, tf.timeout_s)",
-                            refusal.message,
-                            timeout.as_secs_f64()
-                        );
-                        return Err(Refusal { message, ..refusal });
-                    }
-                }
-                done => return done,
-            }
-        }
-    }
-
-    /// Transforms of `/tf`, or of `/tf_static`.
-    fn transforms(&self, message: &TFMessage, is_static: bool) {
-        {
-            let mut tree = lock(&self.tree);
-            for transform in &message.transforms {
-                if let Err(complaint) = tree.hear(transform, is_static) {
-                    log::warn!("{complaint}");
-                }
-            }
-        }
-        self.transforms_heard.notify_waiters();
-    }
-
-    fn set_location(&self, location: &GivenLocation) -> Result<(), Refusal> {
-        let now_secs = self.now_secs();
-        let mut state = self.state();
-        if let Lifecycle::Unconfigured | Lifecycle::Finalized = state.lifecycle {
-            return Err(self.not_active(state.lifecycle));
-        }
-        state.server.set_location(&location.name, location.xy, now_secs)?;
-        log::debug!("{} is ({:.3}, {:.3})", location.name, location.xy[0], location.xy[1]);
-        Ok(())
-    }
-
     /// Makes the topics that the model and the parameters call for, and no others: one for each
     /// location of the task, and `/clock` while it is wanted.
     fn sync_topics(self: &Arc<Self>) {
@@ -717,18 +545,24 @@ impl Shared {
         // Nobody deactivates the node while this is held, so that no motion leaves an inactive one.
         let state = self.state();
         self.check_active(&state, activation)?;
-        let lost = |e: &dyn std::fmt::Display| {
-            Refusal::new(ErrorCode::Internal, format!("a trajectory could not be published: {e}"))
-        };
-        let message = self.frames.joint_trajectory(joints);
-        self.joint_trajectory.publish(message).map_err(|e| lost(&e))?;
+        if let Err(e) = self.joint_trajectory.publish(self.frames.joint_trajectory(joints)) {
+            let message = format!("the trajectory could not be published: {e}");
+            return Err(Refusal::new(ErrorCode::Internal, message));
+        }
         let took_ms = received.elapsed().as_secs_f64() * 1e3;
-        let message = self.frames.end_effector_trajectory(poses);
-        self.end_effector_trajectory.publish(message).map_err(|e| lost(&e))?;
-        self.end_effector_path.publish(self.frames.path(poses, stamp)).map_err(|e| lost(&e))?;
+        // The motion is on its way; what goes with it is lost where it can't be sent.
         let tolerance_m = state.server.settings().tolerance_m;
+        let path = self.frames.path(poses, stamp);
         let markers = markers(&self.frames, sample, tolerance_m, stamp);
-        self.markers.publish(markers).map_err(|e| lost(&e))?;
+        let poses = self.frames.end_effector_trajectory(poses);
+        let sent = [
+            self.end_effector_trajectory.publish(poses).map_err(|e| e.to_string()),
+            self.end_effector_path.publish(path).map_err(|e| e.to_string()),
+            self.markers.publish(markers).map_err(|e| e.to_string()),
+        ];
+        for e in sent.into_iter().filter_map(Result::err) {
+            log::error!("a trajectory was published, but not all that goes with it: {e}");
+        }
         self.previewed.send_replace(Some(Arc::new(joints.clone())));
         drop(state);
         lock(&self.counts).published();

@@ -53,41 +53,17 @@ pub(crate) struct SampleArgs {
     #[arg(long, value_name = "JOINT=POSITION", value_parser = named_value, allow_hyphen_values = true)]
     start: Vec<(String, f64)>,
     /// How many times as fast as it was learned, where the limits allow it [default: 1]
-    #[arg(
-        long,
-        value_name = "FACTOR",
-        default_value_t = 0.0,
-        hide_default_value = true,
-        allow_hyphen_values = true
-    )]
-    speed: f64,
+    #[arg(long, value_name = "FACTOR", value_parser = above_zero, allow_hyphen_values = true)]
+    speed: Option<f64>,
     /// Share of the velocity limits that may be used [default: 1]
-    #[arg(
-        long,
-        value_name = "SHARE",
-        default_value_t = 0.0,
-        hide_default_value = true,
-        allow_hyphen_values = true
-    )]
-    velocity_scale: f64,
+    #[arg(long, value_name = "SHARE", value_parser = above_zero, allow_hyphen_values = true)]
+    velocity_scale: Option<f64>,
     /// Share of the acceleration limits that may be used [default: 1]
-    #[arg(
-        long,
-        value_name = "SHARE",
-        default_value_t = 0.0,
-        hide_default_value = true,
-        allow_hyphen_values = true
-    )]
-    acceleration_scale: f64,
+    #[arg(long, value_name = "SHARE", value_parser = above_zero, allow_hyphen_values = true)]
+    acceleration_scale: Option<f64>,
     /// Points per second [default: as many points as the model has]
-    #[arg(
-        long,
-        value_name = "HZ",
-        default_value_t = 0.0,
-        hide_default_value = true,
-        allow_hyphen_values = true
-    )]
-    rate_hz: f64,
+    #[arg(long, value_name = "HZ", value_parser = above_zero, allow_hyphen_values = true)]
+    rate_hz: Option<f64>,
     /// Order of the motions: as drawn, or the one first whose least distance to a joint limit is largest, that
     /// is smoothest, or that is shortest
     #[arg(long, value_enum, default_value_t)]
@@ -116,6 +92,12 @@ fn location(text: &str) -> Result<GivenLocation, String> {
         Some(GivenLocation { name: name.trim().into(), xy })
     };
     parsed().ok_or_else(|| "write it as NAME=X,Y, such as pour_location=0.65,0.25".into())
+}
+
+/// A number above 0, which in a request stands for the default.
+fn above_zero(text: &str) -> Result<f64, String> {
+    let parsed = text.trim().parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
+    parsed.ok_or_else(|| "a number above 0 is needed".into())
 }
 
 /// What the motions are ordered by.
@@ -164,10 +146,10 @@ pub(crate) fn run(args: SampleArgs) -> anyhow::Result<ExitStatus> {
         count: args.count,
         seed: args.seed,
         start: args.start.clone(),
-        velocity_scale: args.velocity_scale,
-        acceleration_scale: args.acceleration_scale,
-        speed: args.speed,
-        rate_hz: args.rate_hz,
+        velocity_scale: args.velocity_scale.unwrap_or_default(),
+        acceleration_scale: args.acceleration_scale.unwrap_or_default(),
+        speed: args.speed.unwrap_or_default(),
+        rate_hz: args.rate_hz.unwrap_or_default(),
         rank_by: args.rank_by.into(),
         allow_out_of_distribution: args.allow_out_of_distribution,
     };
@@ -407,9 +389,13 @@ fn states(args: &SampleArgs, artifact: &Artifact) -> anyhow::Result<ExitStatus> 
     let with_mcap = args.mcap.is_some();
     #[cfg(not(feature = "bag"))]
     let with_mcap = false;
-    if args.robot.is_some() || args.plot.is_some() || with_mcap {
-        let refused =
-            "--robot, --plot and --mcap are for models of a robot's tip; this one's states are";
+    let timing = [args.speed, args.velocity_scale, args.acceleration_scale, args.rate_hz];
+    let of_an_arm = !args.start.is_empty()
+        || timing.iter().any(Option::is_some)
+        || args.rank_by != Order::default();
+    if args.robot.is_some() || args.plot.is_some() || with_mcap || of_an_arm {
+        let refused = "--robot, --plot, --mcap, --start, --speed, --velocity-scale, --acceleration-scale, --rate-hz and \
+                       --rank-by are for models of a robot's tip; this one's states are";
         let states = artifact.document.state_names.join(", ");
         return Err(UsageError(format!("{refused} {states}")).into());
     }
