@@ -1,8 +1,9 @@
-"""Makes third_party/rustdds: the registry's own source of rustdds with patches/*.patch applied.
+"""Makes third_party/NAME for each folder patches/NAME: the registry's own source of that crate, with the
+folder's patches applied.
 
-`./x setup` runs this. The source comes from cargo, through the locked manifest in
-patches/registry, and its SHA-256 is compared with the one in that lock file. The patches apply
-exactly (same lines at the same numbers) or not at all. The result replaces third_party/rustdds
+`./x setup` runs this. The sources come from cargo, through the locked manifest in
+patches/registry, and their SHA-256 is compared with the one in that lock file. The patches apply
+exactly (same lines at the same numbers) or not at all. The result replaces third_party/NAME
 in one rename, so an interrupted run leaves nothing half done; a tree that was edited or damaged
 afterwards is found by its digest and made again.
 """
@@ -19,8 +20,8 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-NAME = "rustdds"
-TARGET = HERE.parent / "third_party" / NAME
+NAMES = sorted(path.parent.name for path in HERE.glob("*/0001-*.patch"))
+THIRD_PARTY = HERE.parent / "third_party"
 STAMP = ".made-by-x-setup"
 
 
@@ -148,60 +149,67 @@ def digest(root):
     return total.hexdigest()
 
 
-def inputs(checksum, patches):
+def inputs(name, checksum, patches):
     """What the tree is made from, one line each."""
     # Without the patches' headers, whose wording changes nothing that is built.
     diffs = [p.read_text().partition("\n--- a/")[2] for p in patches]
     named = [f"{hashlib.sha256(d.encode()).hexdigest()} {p.name}" for d, p in zip(diffs, patches)]
-    return "\n".join([f"{checksum} {NAME}", *named]) + "\n"
+    return "\n".join([f"{checksum} {name}", *named]) + "\n"
 
 
-def state(expected):
+def state(target, expected):
     """None when the tree is as `expected`, else why it has to be made."""
-    if not TARGET.exists():
+    if not target.exists():
         return "it does not exist yet"
-    stamp = TARGET / STAMP
+    stamp = target / STAMP
     if not stamp.is_file():
         return "it was not finished"
     made_from, _, tree = stamp.read_text().rpartition("tree ")
     if made_from != expected:
         return "the patches or the pinned version changed"
-    if tree.strip() != digest(TARGET):
+    if tree.strip() != digest(target):
         return "its files were changed"
     return None
 
 
-def main():
-    version, checksum = locked(NAME)
-    patches = sorted(HERE.glob("*.patch"))
-    expected = inputs(checksum, patches)
-    where = f"third_party/{NAME}"
-    reason = state(expected)
+def make(name):
+    """Makes the tree of one crate, unless it is up to date."""
+    target = THIRD_PARTY / name
+    version, checksum = locked(name)
+    patches = sorted((HERE / name).glob("*.patch"))
+    expected = inputs(name, checksum, patches)
+    where = f"third_party/{name}"
+    reason = state(target, expected)
     if reason is None:
-        print(f"setup: {where} is up to date ({NAME} {version}, {len(patches)} patches)")
+        print(f"setup: {where} is up to date ({name} {version}, {len(patches)} patches)")
         return
     print(f"setup: making {where}: {reason}", flush=True)
-    crate = registry_crate(NAME, version)
+    crate = registry_crate(name, version)
     found = hashlib.sha256(crate.read_bytes()).hexdigest()
     if found != checksum:
         raise SetupError(
             f"{crate} has SHA-256 {found}, but patches/registry/Cargo.lock says {checksum}. "
             "Delete that file and run ./x setup again"
         )
-    print(f"setup: {NAME} {version} from the registry, SHA-256 {checksum[:16]}... verified")
-    TARGET.parent.mkdir(exist_ok=True)
+    print(f"setup: {name} {version} from the registry, SHA-256 {checksum[:16]}... verified")
+    THIRD_PARTY.mkdir(exist_ok=True)
     # Fresh modification times throughout, so that cargo notices every change.
-    with tempfile.TemporaryDirectory(prefix=f".{NAME}-", dir=TARGET.parent) as scratch:
-        tree = Path(scratch) / NAME
-        unpack(crate, f"{NAME}-{version}", tree)
+    with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=THIRD_PARTY) as scratch:
+        tree = Path(scratch) / name
+        unpack(crate, f"{name}-{version}", tree)
         for patch in patches:
             apply(patch, tree)
-            print(f"setup: applied patches/{patch.name}")
+            print(f"setup: applied patches/{name}/{patch.name}")
         (tree / STAMP).write_text(f"{expected}tree {digest(tree)}\n")
-        if TARGET.exists():
-            TARGET.rename(Path(scratch) / "old")
-        tree.rename(TARGET)
+        if target.exists():
+            target.rename(Path(scratch) / "old")
+        tree.rename(target)
     print(f"setup: {where} is ready")
+
+
+def main():
+    for name in NAMES:
+        make(name)
 
 
 if __name__ == "__main__":
