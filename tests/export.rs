@@ -156,7 +156,11 @@ fn what_can_not_be_written_or_made_leaves_nothing_behind() {
         (&nothing[..], 3, "no demonstration to write"),
         (&["export", "data", "-o", "no/set.csv"], 2, "there is no folder no; make it"),
         (&["simulate", "pouring", "--robot", "bare.toml", "-o", "new"], 2, "no [workplace]"),
-        (&["sample", &arcs, "--task", "center=0,0", "--mcap", "new"], 2, "are for models of a robot's tip"),
+        (
+            &["sample", &arcs, "--task", "center=0,0", "--mcap", "new"],
+            2,
+            "are for models of a robot's tip",
+        ),
     ] {
         let output = tcvae(args, folder.path());
         let told = String::from_utf8_lossy(&output.stderr);

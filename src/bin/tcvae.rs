@@ -4,15 +4,19 @@
 
 mod verbs;
 
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use anyhow::Context;
+use clap::{CommandFactory, Parser, Subcommand};
 
+#[cfg(feature = "ros")]
+use verbs::doctor;
 #[cfg(all(feature = "ros", feature = "bag"))]
 use verbs::record;
 use verbs::{
-    ExitStatus, check, evaluate, export, inspect, print_json, report, sample, simulate, sweep,
-    train,
+    ExitStatus, UsageError, check, evaluate, export, inspect, print_json, print_line, report,
+    sample, simulate, sweep, train,
 };
 
 /// Learns movement primitives from demonstrations, and measures them.
@@ -50,6 +54,19 @@ enum Verb {
     /// Record joint states and grippers from the ROS graph
     #[cfg(all(feature = "ros", feature = "bag"))]
     Record(record::RecordArgs),
+    /// Find out why nothing is seen on the ROS graph, and what to do
+    #[cfg(feature = "ros")]
+    Doctor(doctor::DoctorArgs),
+    /// Write a shell's completions to standard output
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Write manual pages into a folder
+    Man {
+        /// The folder, which must exist
+        folder: PathBuf,
+    },
 }
 
 impl Verb {
@@ -66,6 +83,9 @@ impl Verb {
             Self::Export(args) => args.json,
             #[cfg(all(feature = "ros", feature = "bag"))]
             Self::Record(args) => args.json,
+            #[cfg(feature = "ros")]
+            Self::Doctor(args) => args.json,
+            Self::Completions { .. } | Self::Man { .. } => false,
         }
     }
 
@@ -82,8 +102,30 @@ impl Verb {
             Self::Export(args) => export::run(args),
             #[cfg(all(feature = "ros", feature = "bag"))]
             Self::Record(args) => record::run(args),
+            #[cfg(feature = "ros")]
+            Self::Doctor(args) => doctor::run(args),
+            Self::Completions { shell } => completions(shell),
+            Self::Man { folder } => manual(&folder),
         }
     }
+}
+
+fn completions(shell: clap_complete::Shell) -> anyhow::Result<ExitStatus> {
+    let mut text = Vec::new();
+    clap_complete::generate(shell, &mut Cli::command(), "tcvae", &mut text);
+    print_line(String::from_utf8_lossy(&text).trim_end());
+    Ok(ExitStatus::Done)
+}
+
+/// A page for the program and one for each verb.
+fn manual(folder: &Path) -> anyhow::Result<ExitStatus> {
+    if !folder.is_dir() {
+        let reason = format!("there is no folder {}; make it", folder.display());
+        return Err(UsageError(reason).into());
+    }
+    clap_mangen::generate_to(Cli::command(), folder)
+        .with_context(|| format!("writing manual pages into {}", folder.display()))?;
+    Ok(ExitStatus::Done)
 }
 
 /// The error with its causes. Some errors tell their cause, or the file that they are about,
@@ -116,8 +158,6 @@ fn main() -> ExitCode {
 
 #[cfg(test)]
 mod tests {
-    use anyhow::Context;
-
     use super::*;
 
     #[derive(Debug, thiserror::Error)]

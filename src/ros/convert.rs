@@ -120,6 +120,8 @@ impl Frames {
             count,
             seed,
             start: start.name.into_iter().zip(start.position).collect(),
+            start_policy: None,
+            is_driven: false,
             velocity_scale,
             acceleration_scale,
             speed: 0.0,
@@ -140,7 +142,8 @@ impl Frames {
         }
     }
 
-    fn sample(&self, sample: &Sample) -> tcvae_msgs::Sample {
+    /// A sample as a message.
+    pub fn sample(&self, sample: &Sample) -> tcvae_msgs::Sample {
         let Sample {
             joint_trajectory,
             end_effector_trajectory,

@@ -48,6 +48,8 @@ pub struct Environment {
     pub domain: u16,
     /// How far discovery reaches.
     pub range: DiscoveryRange,
+    /// Machines that are told of the node directly, by name or address.
+    pub static_peers: Vec<String>,
     /// How the clients' middleware lays out services.
     pub service_mapping: ServiceMapping,
     /// Settings that the node can't follow, in words.
@@ -83,11 +85,26 @@ impl Environment {
             },
         };
         let mut warnings = Vec::new();
-        if let Some(peers) = variable("ROS_STATIC_PEERS") {
-            warnings.push(format!(
-                "ROS_STATIC_PEERS ({peers}) has no effect on this node: it finds others by \
-                 multicast and on this machine"
-            ));
+        let mut static_peers: Vec<String> = variable("ROS_STATIC_PEERS")
+            .iter()
+            .flat_map(|peers| peers.split(';'))
+            .map(|peer| peer.trim().to_owned())
+            .filter(|peer| !peer.is_empty())
+            .collect();
+        if !static_peers.is_empty() {
+            match range {
+                DiscoveryRange::Subnet => {}
+                DiscoveryRange::Localhost => warnings.push(
+                    "with static peers the node can also be found by multicast on the subnet, \
+                     although the discovery range is LOCALHOST"
+                        .into(),
+                ),
+                DiscoveryRange::Off => {
+                    static_peers.clear();
+                    warnings
+                        .push("ROS_STATIC_PEERS has no effect: the discovery range is OFF".into());
+                }
+            }
         }
         let service_mapping = match variable("RMW_IMPLEMENTATION").as_deref() {
             Some("rmw_cyclonedds_cpp") => ServiceMapping::Cyclone,
@@ -100,7 +117,7 @@ impl Environment {
             }
             _ => ServiceMapping::Enhanced,
         };
-        Ok(Self { domain, range, service_mapping, warnings })
+        Ok(Self { domain, range, static_peers, service_mapping, warnings })
     }
 }
 
@@ -149,10 +166,25 @@ mod tests {
     }
 
     #[test]
+    fn static_peers_are_separated_by_semicolons_and_nobody_where_discovery_is_off() {
+        let peers = |range| {
+            read(&[
+                ("ROS_STATIC_PEERS", "10.0.0.2; robot.local;;"),
+                ("ROS_AUTOMATIC_DISCOVERY_RANGE", range),
+            ])
+            .map(|e| (e.static_peers, e.warnings.len()))
+        };
+        let both = vec!["10.0.0.2".to_owned(), "robot.local".to_owned()];
+        assert_eq!(peers("SUBNET"), Ok((both.clone(), 0)));
+        assert_eq!(peers("LOCALHOST"), Ok((both, 1)));
+        assert_eq!(peers("OFF"), Ok((vec![], 1)));
+    }
+
+    #[test]
     fn what_the_node_cannot_follow_is_a_warning() {
         let environment =
-            read(&[("ROS_STATIC_PEERS", "10.0.0.2"), ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")]);
-        assert_eq!(environment.unwrap().warnings.len(), 2);
+            read(&[("ROS_LOCALHOST_ONLY", "1"), ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")]);
+        assert_eq!(environment.unwrap().warnings.len(), 1);
         let cyclone = read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
         assert_eq!(cyclone.service_mapping, ServiceMapping::Cyclone);
     }

@@ -4,12 +4,16 @@
 pub mod arguments;
 pub mod banner;
 pub mod convert;
+pub mod doctor;
 pub mod environment;
+pub mod goals;
+pub mod interfaces;
 pub mod lane;
 pub mod lifecycle;
 pub mod log;
 pub mod markers;
 pub mod messages;
+pub mod mismatch;
 pub mod names;
 pub mod node;
 pub mod parameters;

@@ -1,7 +1,9 @@
 //! The node: what its topics, services and parameters do with a
 //! [`PrimitiveServer`].
 
+mod execute;
 mod eyes;
+mod introspection;
 mod locations;
 mod managed;
 
@@ -57,7 +59,8 @@ use crate::serving::{
     Description, ErrorCode, PrimitiveServer, Refusal, Sample, SampleReply, SampleRequest,
 };
 use crate::trajectory as core;
-use eyes::Counts;
+use execute::Execution;
+use eyes::{Counts, message_time};
 use locations::{Given, may_come};
 
 /// Why the node does not run.
@@ -80,8 +83,6 @@ pub struct RunningNode {
     tasks: JoinSet<()>,
     shared: Option<Arc<Shared>>,
     log: NodeLog,
-    // Last, so that it outlives everything that communicates.
-    _context: Context,
 }
 
 /// What the tasks of the node share.
@@ -117,9 +118,12 @@ struct Shared {
     /// The motion that the ghost plays.
     previewed: watch::Sender<Option<Arc<core::JointTrajectory>>>,
     robot_description: Publisher<Text>,
+    execution: Execution,
     counts: Mutex<Counts>,
     model_info: Publisher<Text>,
     parameter_events: Publisher<raw::ParameterEvent>,
+    // Last, so that it outlives everything that communicates.
+    context: Context,
 }
 
 /// What a sample is for.
@@ -164,6 +168,7 @@ impl RunningNode {
         let poses = ("trajectory_msgs", "MultiDOFJointTrajectory");
         let event = ("rcl_interfaces", "ParameterEvent");
         let joint_state = ("sensor_msgs", "JointState");
+        let (execution, executions) = Execution::new(&mut wiring)?;
         let mut tasks = JoinSet::new();
         let participants = wiring.participants::<ParticipantEntitiesInfo>(&context)?;
         tasks.spawn(each(
@@ -219,15 +224,22 @@ impl RunningNode {
                 ("std_msgs", "String"),
                 latched(1),
             )?,
+            execution,
             counts: Mutex::default(),
             model_info: wiring.publisher("~/model_info", ("std_msgs", "String"), latched(1))?,
             parameter_events: wiring.publisher("/parameter_events", event, reliable(1000))?,
             wiring: Mutex::new(wiring),
             names,
+            context,
         });
         shared.serve(&mut tasks)?;
         shared.serve_parameters(&mut tasks)?;
         shared.serve_lifecycle(&mut tasks)?;
+        shared.serve_execute(executions, &mut tasks);
+        shared.serve_introspection(&log, &mut tasks)?;
+        let participant = shared.context.domain_participant();
+        tasks.spawn(introspection::warn_of_mismatches(participant));
+        shared.sync_controller();
         tasks.spawn(eyes::diagnose(Arc::downgrade(&shared)));
         tasks.spawn(eyes::preview(Arc::downgrade(&shared), shared.previewed.subscribe()));
         let goal_pose = shared.wiring().subscription(
@@ -273,7 +285,7 @@ impl RunningNode {
         shared.announce_model();
         shared.announce_robot();
         shared.announce_parameters(&[], &shared.parameters());
-        Ok(Self { tasks, shared: Some(shared), log, _context: context })
+        Ok(Self { tasks, shared: Some(shared), log })
     }
 
     /// What the node serves, and commands to try.
@@ -284,6 +296,7 @@ impl RunningNode {
     /// Takes the node off the graph.
     pub async fn stop(mut self) {
         if let Some(shared) = &self.shared {
+            shared.execution.end().await;
             lock(&shared.topics).values().for_each(AbortHandle::abort);
         }
         self.tasks.shutdown().await;
@@ -324,7 +337,12 @@ impl Shared {
 
     /// The time for stamps: the system's, or that of `/clock`.
     fn stamp(&self) -> StampTime {
-        match self.state().use_sim_time {
+        self.stamp_in(&self.state())
+    }
+
+    /// The same, for who holds the state.
+    fn stamp_in(&self, state: &NodeState) -> StampTime {
+        match state.use_sim_time {
             true => StampTime::from_nanos(self.clock.simulated.load(Relaxed)),
             false => StampTime::now(),
         }
@@ -540,8 +558,7 @@ impl Shared {
         received: Instant,
         activation: Option<u64>,
     ) -> Result<(), Refusal> {
-        let (joints, poses) = (&sample.joint_trajectory, &sample.end_effector_trajectory);
-        let stamp = self.message_stamp();
+        let joints = &sample.joint_trajectory;
         // Nobody deactivates the node while this is held, so that no motion leaves an inactive one.
         let state = self.state();
         self.check_active(&state, activation)?;
@@ -550,7 +567,18 @@ impl Shared {
             return Err(Refusal::new(ErrorCode::Internal, message));
         }
         let took_ms = received.elapsed().as_secs_f64() * 1e3;
-        // The motion is on its way; what goes with it is lost where it can't be sent.
+        self.show_motion(&state, sample);
+        drop(state);
+        lock(&self.counts).published();
+        let notes: String = sample.warnings.iter().map(|w| format!("; note: {w}")).collect();
+        log::info!("published in {took_ms:.2} ms: {}{notes}", summary(sample, model_id));
+        Ok(())
+    }
+
+    /// What goes with a motion that is on its way; it is lost where it can't be sent.
+    fn show_motion(&self, state: &NodeState, sample: &Sample) {
+        let (joints, poses) = (&sample.joint_trajectory, &sample.end_effector_trajectory);
+        let stamp = message_time(self.stamp_in(state));
         let tolerance_m = state.server.settings().tolerance_m;
         let path = self.frames.path(poses, stamp);
         let markers = markers(&self.frames, sample, tolerance_m, stamp);
@@ -561,14 +589,9 @@ impl Shared {
             self.markers.publish(markers).map_err(|e| e.to_string()),
         ];
         for e in sent.into_iter().filter_map(Result::err) {
-            log::error!("a trajectory was published, but not all that goes with it: {e}");
+            log::error!("a motion is on its way, but not all that goes with it: {e}");
         }
         self.previewed.send_replace(Some(Arc::new(joints.clone())));
-        drop(state);
-        lock(&self.counts).published();
-        let notes: String = sample.warnings.iter().map(|w| format!("; note: {w}")).collect();
-        log::info!("published in {took_ms:.2} ms: {}{notes}", summary(sample, model_id));
-        Ok(())
     }
 
     // ---- Services ----
@@ -890,6 +913,7 @@ impl Shared {
             self.announce_model();
         }
         self.sync_topics();
+        self.sync_controller();
         Ok(())
     }
 

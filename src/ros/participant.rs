@@ -1,6 +1,6 @@
 //! The way onto the network: a DDS participant in the domain and range of the environment.
 
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs};
 
 use ros2_client::{Context, CreateError};
 use rustdds::{DomainParticipant, DomainParticipantBuilder};
@@ -24,6 +24,17 @@ pub enum ParticipantError {
         first: u16,
         /// Last unicast port of the domain.
         last: u16,
+    },
+    /// A static peer whose address nobody knows.
+    #[error(
+        "ROS_STATIC_PEERS names {peer:?}, which has no IPv4 address here ({reason}); separate names and \
+         addresses by semicolons, and leave out those that are not known"
+    )]
+    Peer {
+        /// The peer.
+        peer: String,
+        /// What the system says.
+        reason: String,
     },
     /// Anything else that went wrong.
     #[error("can't join domain {domain}: {reason}")]
@@ -52,11 +63,14 @@ pub fn join(environment: &Environment) -> Result<Context, ParticipantError> {
 pub fn enter(environment: &Environment) -> Result<DomainParticipant, ParticipantError> {
     let domain = environment.domain;
     let mut builder = DomainParticipantBuilder::new(domain);
+    let peers: Result<Vec<Vec<IpAddr>>, _> =
+        environment.static_peers.iter().map(|peer| addresses(peer)).collect();
+    builder = builder.initial_peers(peers?.into_iter().flatten());
     match environment.range {
-        DiscoveryRange::Subnet => {}
-        DiscoveryRange::Localhost => {
+        DiscoveryRange::Localhost if environment.static_peers.is_empty() => {
             builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
         }
+        DiscoveryRange::Subnet | DiscoveryRange::Localhost => {}
         DiscoveryRange::Off => {
             builder = builder.with_only_networks(Vec::<IpAddr>::new()).same_host_loopback(false);
         }
@@ -68,6 +82,14 @@ pub fn enter(environment: &Environment) -> Result<DomainParticipant, Participant
         }
         e => ParticipantError::Other { domain, reason: e.to_string() },
     })
+}
+
+/// The IPv4 addresses of a machine, which rustdds speaks.
+fn addresses(peer: &str) -> Result<Vec<IpAddr>, ParticipantError> {
+    let unknown = |reason: String| ParticipantError::Peer { peer: peer.into(), reason };
+    let found = (peer, 0).to_socket_addrs().map_err(|e| unknown(e.to_string()))?;
+    let found: Vec<IpAddr> = found.map(|address| address.ip()).filter(IpAddr::is_ipv4).collect();
+    if found.is_empty() { Err(unknown("only IPv6".into())) } else { Ok(found) }
 }
 
 /// The unicast ports of a domain: discovery of participant 0 to data of participant 119

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use ros2_client::ParameterValue;
 
 use super::lifecycle::Lifecycle;
+use super::names::NodeNames;
 use super::parameters::{Parameter, Range, find, suggestion};
 use crate::serving::{
     ErrorCode, MannerMode, OutOfDistribution, PrimitiveServer, Refusal, Robot, SPEEDS, ServedModel,
@@ -67,6 +68,12 @@ pub struct NodeState {
     autostart: bool,
     /// How long a transform is waited for (s).
     pub tf_timeout_secs: f64,
+    /// The action of the controller that `~/execute` has drive; empty for none.
+    pub controller: String,
+    /// How long the controller may take to appear, to accept and to stop (s).
+    pub controller_timeout_secs: f64,
+    /// How much longer than planned the controller may drive (s).
+    pub controller_grace_secs: f64,
     model_path: String,
     robot: RobotFiles,
     /// What each location of the task is while nothing else was given.
@@ -157,6 +164,9 @@ impl NodeState {
             activations: 0,
             autostart,
             tf_timeout_secs: 0.5,
+            controller: "joint_trajectory_controller/follow_joint_trajectory".into(),
+            controller_timeout_secs: 2.0,
+            controller_grace_secs: 5.0,
             model_path,
             robot: files,
         };
@@ -251,6 +261,25 @@ impl NodeState {
             "How long (s) a location in another frame waits for its transform, counted from its receipt",
             Range::Double(0.0, 60.0),
             P::Double(self.tf_timeout_secs),
+        );
+        add(
+            "execute.controller",
+            "The control_msgs/action/FollowJointTrajectory action that drives the goals of ~/execute; a relative \
+             name is one in the node's namespace, and empty means none",
+            Range::Any,
+            P::String(self.controller.clone()),
+        );
+        add(
+            "execute.timeout_s",
+            "How long (s) the controller may take to appear, to accept a motion, and to stop",
+            Range::Double(0.1, 60.0),
+            P::Double(self.controller_timeout_secs),
+        );
+        add(
+            "execute.grace_s",
+            "How much longer (s) than planned the controller may take before it is told to stop",
+            Range::Double(0.0, 3600.0),
+            P::Double(self.controller_grace_secs),
         );
         add(
             "task.tolerance_m",
@@ -428,6 +457,18 @@ impl NodeState {
             ("publish_on_task", P::Boolean(value)) => self.publish_on_task = value,
             ("use_sim_time", P::Boolean(value)) => self.use_sim_time = value,
             ("tf.timeout_s", P::Double(value)) => self.tf_timeout_secs = value,
+            ("execute.timeout_s", P::Double(value)) => self.controller_timeout_secs = value,
+            ("execute.grace_s", P::Double(value)) => self.controller_grace_secs = value,
+            ("execute.controller", P::String(value)) => {
+                let name = value.trim();
+                let anybody = NodeNames::new("anybody", &[]);
+                if !name.is_empty() {
+                    anybody
+                        .and_then(|names| names.service(name))
+                        .map_err(|e| bad_request(e.to_string()))?;
+                }
+                self.controller = name.to_owned();
+            }
             ("task.tolerance_m", P::Double(value)) => settings.tolerance_m = value,
             ("task.max_age_s", P::Double(value)) => settings.max_age_secs = value,
             ("manner.mode", P::String(value)) => {

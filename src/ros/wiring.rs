@@ -1,16 +1,27 @@
-//! Endpoints by the names that ROS 2 users know: expanded and remapped, with types and QoS.
+//! Endpoints by the names that ROS 2 users know: expanded and remapped, with types, their hashes, and QoS.
 
-use std::sync::{Arc, Weak};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::{Duration, Instant};
 
 use futures::StreamExt;
+use ros2_client::action::{
+    CancelGoalResponse, FeedbackMessage, GetResultRequest, GetResultResponse, SendGoalRequest,
+    SendGoalResponse,
+};
+use ros2_client::action_msgs::GoalStatusArray;
 use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
-    Context, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile,
-    RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription,
+    Client, Context, Gid, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher,
+    QosProfile, RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription,
 };
+use rustdds::{DomainParticipant, GUID};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use tokio::runtime::Handle;
 
+use super::interfaces::user_data;
+use super::messages::action_msgs::CancelGoalRequest;
 use super::names::{NameError, NodeNames};
 
 /// Why the node has no such endpoint.
@@ -48,6 +59,7 @@ pub fn latched(depth: usize) -> QosProfile {
 /// The node on the graph, and what makes endpoints of it.
 pub struct Wiring {
     node: Node,
+    participant: DomainParticipant,
     names: NodeNames,
     mapping: ServiceMapping,
 }
@@ -71,7 +83,7 @@ impl Wiring {
         let node = context
             .new_node(name.map_err(|e| refused(e.to_string()))?, options)
             .map_err(|e| refused(e.to_string()))?;
-        Ok(Self { node, names, mapping })
+        Ok(Self { node, participant: context.domain_participant(), names, mapping })
     }
 
     /// The names that topics and services go by.
@@ -90,8 +102,17 @@ impl Wiring {
         qos: QosProfile,
     ) -> Result<Publisher<M>, WiringError> {
         let topic = self.names.topic(topic)?;
-        let name = parse(&topic)?;
-        let dds = self.node.create_topic(&name, MessageTypeName::new(package, message), &qos);
+        let qos = qos.user_data(user_data(&format!("{package}/msg/{message}")));
+        self.publish_on(topic, MessageTypeName::new(package, message), qos)
+    }
+
+    fn publish_on<M: Serialize>(
+        &mut self,
+        topic: String,
+        message: MessageTypeName,
+        qos: QosProfile,
+    ) -> Result<Publisher<M>, WiringError> {
+        let dds = self.node.create_topic(&parse(&topic)?, message, &qos);
         dds.and_then(|dds| self.node.create_publisher(&dds, Some(qos)))
             .map_err(|e| WiringError::Refused { what: topic, reason: e.to_string() })
     }
@@ -107,8 +128,17 @@ impl Wiring {
         qos: QosProfile,
     ) -> Result<Subscription<M>, WiringError> {
         let topic = self.names.topic(topic)?;
-        let name = parse(&topic)?;
-        let dds = self.node.create_topic(&name, MessageTypeName::new(package, message), &qos);
+        let qos = qos.user_data(user_data(&format!("{package}/msg/{message}")));
+        self.subscribe_to(topic, MessageTypeName::new(package, message), qos)
+    }
+
+    fn subscribe_to<M: DeserializeOwned + 'static>(
+        &mut self,
+        topic: String,
+        message: MessageTypeName,
+        qos: QosProfile,
+    ) -> Result<Subscription<M>, WiringError> {
+        let dds = self.node.create_topic(&parse(&topic)?, message, &qos);
         dds.and_then(|dds| self.node.create_subscription(&dds, Some(qos)))
             .map_err(|e| WiringError::Refused { what: topic, reason: e.to_string() })
     }
@@ -138,19 +168,163 @@ impl Wiring {
         &mut self,
         service: &str,
         (package, kind): TypeName,
-    ) -> Result<Server<Q, A>, WiringError>
+    ) -> Result<Service<Q, A>, WiringError>
     where
         Q: Message + Clone + 'static,
         A: Message + 'static,
     {
         let service = self.names.service(service)?;
-        let kind = ServiceTypeName::new(package, kind);
-        // Answers of many clients at once must not push each other out before they arrived.
-        let qos = reliable(100);
+        self.serve(service, Of::Package(package, kind))
+    }
+
+    fn serve<Q, A>(&mut self, service: String, of: Of<'_>) -> Result<Service<Q, A>, WiringError>
+    where
+        Q: Message + Clone + 'static,
+        A: Message + 'static,
+    {
+        let (kind, requests, answers) = of.service();
+        let clients = Clients {
+            participant: self.participant.clone(),
+            answers: format!("rr{service}Reply"),
+            known: Mutex::default(),
+        };
         self.node
-            .create_server(self.mapping, &parse(&service)?, &kind, qos.clone(), qos)
+            .create_server(self.mapping, &parse(&service)?, &kind, requests, answers)
+            .map(|server| Service { server, clients })
             .map_err(|e| WiringError::Refused { what: service, reason: e.to_string() })
     }
+
+    fn call<Q, A>(&mut self, service: String, of: Of<'_>) -> Result<Client<Q, A>, WiringError>
+    where
+        Q: Message + Clone + 'static,
+        A: Message + 'static,
+    {
+        let (kind, requests, answers) = of.service();
+        self.node
+            .create_client(self.mapping, &parse(&service)?, &kind, requests, answers)
+            .map_err(|e| WiringError::Refused { what: service, reason: e.to_string() })
+    }
+
+    /// The endpoints of a server of the action that the code calls `action`.
+    ///
+    /// # Errors
+    /// A name that is not allowed; the library's refusal.
+    pub fn action_server<G, R, F>(
+        &mut self,
+        action: &str,
+        (package, kind): TypeName,
+    ) -> Result<ActionServer<G, R, F>, WiringError>
+    where
+        G: Message + Clone + 'static,
+        R: Message + Clone + 'static,
+        F: Message + 'static,
+    {
+        let under = format!("{}/_action", self.names.service(action)?);
+        let (message, feedback) = feedback(package, kind);
+        let cancel = Of::Package("action_msgs", "CancelGoal");
+        let status = MessageTypeName::new("action_msgs", "GoalStatusArray");
+        let latest = latched(1).user_data(user_data("action_msgs/msg/GoalStatusArray"));
+        Ok(ActionServer {
+            goals: self
+                .serve(format!("{under}/send_goal"), Of::Action(package, kind, "SendGoal"))?,
+            cancels: self.serve(format!("{under}/cancel_goal"), cancel)?,
+            results: self
+                .serve(format!("{under}/get_result"), Of::Action(package, kind, "GetResult"))?,
+            feedback: self.publish_on(format!("{under}/feedback"), message, feedback)?,
+            status: self.publish_on(format!("{under}/status"), status, latest)?,
+        })
+    }
+
+    /// The endpoints of a client of the action that the code calls `action`.
+    ///
+    /// # Errors
+    /// A name that is not allowed; the library's refusal.
+    pub fn action_client<G, R, F>(
+        &mut self,
+        action: &str,
+        (package, kind): TypeName,
+    ) -> Result<ActionClient<G, R, F>, WiringError>
+    where
+        G: Message + Clone + 'static,
+        R: Message + Clone + 'static,
+        F: Message + 'static,
+    {
+        let action = self.names.service(action)?;
+        let under = format!("{action}/_action");
+        let (message, feedback) = feedback(package, kind);
+        let cancel = Of::Package("action_msgs", "CancelGoal");
+        Ok(ActionClient {
+            goals: self
+                .call(format!("{under}/send_goal"), Of::Action(package, kind, "SendGoal"))?,
+            cancels: self.call(format!("{under}/cancel_goal"), cancel)?,
+            results: self
+                .call(format!("{under}/get_result"), Of::Action(package, kind, "GetResult"))?,
+            feedback: self.subscribe_to(format!("{under}/feedback"), message, feedback)?,
+            action,
+        })
+    }
+}
+
+/// The type of a service.
+enum Of<'a> {
+    /// Of a package, by its name.
+    Package(&'a str, &'a str),
+    /// Of an action of a package, by the action's name and that of its part.
+    Action(&'a str, &'a str, &'a str),
+}
+
+impl Of<'_> {
+    /// The type, and the QoS of requests and of answers, with the hashes of theirs.
+    fn service(&self) -> (ServiceTypeName, QosProfile, QosProfile) {
+        // Answers of many clients at once must not push each other out before they arrived.
+        let qos =
+            |name: &str, part: &str| reliable(100).user_data(user_data(&format!("{name}_{part}")));
+        let (kind, name) = match self {
+            Self::Package(package, kind) => {
+                (ServiceTypeName::new(package, kind), format!("{package}/srv/{kind}"))
+            }
+            Self::Action(package, kind, part) => {
+                let kind = format!("{kind}_{part}");
+                (ServiceTypeName::in_action(package, &kind), format!("{package}/action/{kind}"))
+            }
+        };
+        (kind, qos(&name, "Request"), qos(&name, "Response"))
+    }
+}
+
+/// The type and the QoS of an action's feedback.
+fn feedback(package: &str, kind: &str) -> (MessageTypeName, QosProfile) {
+    let message = format!("{kind}_FeedbackMessage");
+    let hash = user_data(&format!("{package}/action/{message}"));
+    (MessageTypeName::in_action(package, &message), reliable(10).user_data(hash))
+}
+
+/// What serves an action.
+pub struct ActionServer<G: Message + Clone, R: Message + Clone, F: Message> {
+    /// Goals come here.
+    pub goals: Service<SendGoalRequest<G>, SendGoalResponse>,
+    /// Wishes to cancel them.
+    pub cancels: Service<CancelGoalRequest, CancelGoalResponse>,
+    /// Who wants to know their results.
+    pub results: Service<GetResultRequest, GetResultResponse<R>>,
+    /// How far they are.
+    pub feedback: Publisher<FeedbackMessage<F>>,
+    /// Which there are.
+    pub status: Publisher<GoalStatusArray>,
+}
+
+/// What speaks to the server of an action.
+pub struct ActionClient<G: Message + Clone, R: Message + Clone, F: Message> {
+    /// Its full name.
+    pub action: String,
+    /// Takes goals.
+    pub goals: Client<SendGoalRequest<G>, SendGoalResponse>,
+    /// Cancels them.
+    pub cancels: Client<CancelGoalRequest, CancelGoalResponse>,
+    /// Tells their results.
+    pub results: Client<GetResultRequest, GetResultResponse<R>>,
+    /// Tells how far they are.
+    pub feedback: Subscription<FeedbackMessage<F>>,
 }
 
 fn parse(name: &str) -> Result<Name, WiringError> {
@@ -171,19 +345,71 @@ pub async fn each<M: DeserializeOwned + 'static>(
     }
 }
 
+/// A service: requests come, and answers go back.
+pub struct Service<Q: Message, A: Message> {
+    server: Server<Q, A>,
+    clients: Clients,
+}
+
+/// Where clients hear answers. Discovery is not of one piece: a client that has found the service may send a
+/// request before its own end for answers is known here, and what is sent to nobody is lost.
+struct Clients {
+    participant: DomainParticipant,
+    /// The topic of the answers, as DDS has it.
+    answers: String,
+    /// The ends that are known by now; none where a program has several, which pick out what is theirs.
+    known: Mutex<BTreeMap<Gid, Option<GUID>>>,
+}
+
+/// How long an answer waits for its client's end to be discovered, and how often that is looked for.
+const DISCOVERY: Duration = Duration::from_secs(10);
+const LOOK: Duration = Duration::from_millis(20);
+/// Clients that are remembered; with more, they are looked for again.
+const MOST_CLIENTS: usize = 1000;
+
+impl Clients {
+    /// Where the client that sends requests with this id hears answers, if that is known.
+    fn known(&self, client: Gid) -> Option<Option<GUID>> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(&client).copied()
+    }
+
+    /// Looks for the client's end; whether it is there.
+    fn look_for(&self, client: Gid) -> bool {
+        // Its ends belong to one participant, whose id is the first 12 bytes of theirs.
+        let participant = |gid: Gid| gid.to_bytes16()[..12].to_vec();
+        let readers = self.participant.discovered_readers();
+        let mut ends = readers.iter().filter_map(|reader| {
+            let guid = reader.reader_proxy.remote_reader_guid;
+            let is_its = participant(guid.into()) == participant(client)
+                && *reader.subscription_topic_data.topic_name() == self.answers;
+            is_its.then_some(guid)
+        });
+        let Some(first) = ends.next() else { return false };
+        let end = if ends.next().is_none() { Some(first) } else { None };
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.len() >= MOST_CLIENTS {
+            known.clear();
+        }
+        known.insert(client, end);
+        true
+    }
+}
+
 /// Hands every request of a service to `handle`, one after the other, for ever.
-pub async fn answer<Q, A, F>(server: Server<Q, A>, mut handle: impl FnMut(Q, Reply<Q, A>) -> F)
+pub async fn answer<Q, A, F>(service: Service<Q, A>, mut handle: impl FnMut(Q, Reply<Q, A>) -> F)
 where
     Q: Message + 'static,
     A: Message + 'static,
     F: Future<Output = ()>,
 {
-    let server = Arc::new(server);
-    let mut requests = server.receive_request_stream();
+    let service = Arc::new(service);
+    let runtime = Handle::current();
+    let mut requests = service.server.receive_request_stream();
     while let Some(request) = requests.next().await {
         match request {
             Ok((id, request)) => {
-                handle(request, Reply { server: Arc::downgrade(&server), id }).await;
+                let service = Arc::downgrade(&service);
+                handle(request, Reply { service, runtime: runtime.clone(), id }).await;
             }
             Err(e) => log::debug!("a request that can't be read: {e}"),
         }
@@ -192,21 +418,57 @@ where
 
 /// The way back to the client of one request. It does not keep the service alive.
 pub struct Reply<Q: Message, A: Message> {
-    server: Weak<Server<Q, A>>,
+    service: Weak<Service<Q, A>>,
+    runtime: Handle,
     id: RmwRequestId,
 }
 
 impl<Q: Message, A: Message> Clone for Reply<Q, A> {
     fn clone(&self) -> Self {
-        Self { server: Weak::clone(&self.server), id: self.id }
+        Self { service: Weak::clone(&self.service), runtime: self.runtime.clone(), id: self.id }
     }
 }
 
-impl<Q: Message + 'static, A: Message + 'static> Reply<Q, A> {
+impl<Q: Message + Send + Sync + 'static, A: Message + Send + Sync + 'static> Reply<Q, A> {
     /// Answers the request.
     pub fn send(&self, answer: A) {
-        let Some(server) = self.server.upgrade() else { return };
-        if let Err(e) = server.send_response(self.id, answer) {
+        let Some(service) = self.service.upgrade() else { return };
+        if let Some(end) = service.clients.known(self.id.writer_gid) {
+            service.send(self.id, answer, end);
+            return;
+        }
+        drop(service);
+        let (service, id) = (Weak::clone(&self.service), self.id);
+        self.runtime.spawn(async move {
+            let deadline = Instant::now() + DISCOVERY;
+            loop {
+                let found = match service.upgrade() {
+                    Some(service) => service.clients.look_for(id.writer_gid),
+                    None => return,
+                };
+                // From discovered to matched it is a step more.
+                tokio::time::sleep(LOOK).await;
+                let Some(service) = service.upgrade() else { return };
+                if found {
+                    let end = service.clients.known(id.writer_gid).flatten();
+                    return service.send(id, answer, end);
+                }
+                if Instant::now() > deadline {
+                    log::warn!(
+                        "an answer on {} is lost: its client has no end for it, {:.0} s later",
+                        service.clients.answers,
+                        DISCOVERY.as_secs_f64()
+                    );
+                    return;
+                }
+            }
+        });
+    }
+}
+
+impl<Q: Message + 'static, A: Message + 'static> Service<Q, A> {
+    fn send(&self, id: RmwRequestId, answer: A, end: Option<GUID>) {
+        if let Err(e) = self.server.send_response_to(id, answer, end) {
             log::warn!("an answer could not be sent: {e}");
         }
     }

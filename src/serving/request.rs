@@ -1,7 +1,7 @@
 //! What a client asks for, and what it gets.
 
 use crate::parameters::MannerAxis;
-use crate::serving::Refusal;
+use crate::serving::{Refusal, StartPolicy};
 use crate::trajectory::{EndEffectorTrajectory, JointTrajectory};
 
 /// Most samples that one request may ask for.
@@ -48,6 +48,11 @@ pub struct SampleRequest {
     /// Where the joints are, by name; empty where that is not known. Other joints than the arm's may
     /// be among them. The motion must begin there.
     pub start: Vec<(String, f64)>,
+    /// What happens where the arm is not at the first point of the motion; none means the setting.
+    pub start_policy: Option<StartPolicy>,
+    /// Whether the motion is driven at once; then it must be known where the arm is, unless the policy is that
+    /// it does not matter.
+    pub is_driven: bool,
     /// Share of the velocity limits; 0 means the setting.
     pub velocity_scale: f64,
     /// Share of the acceleration limits; 0 means the setting.

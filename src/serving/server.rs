@@ -498,7 +498,7 @@ impl PrimitiveServer {
             scales: Scales { velocity, acceleration },
             speed: chosen("speed", request.speed, speed, SPEEDS)?,
             rate_hz: self.rate(request.rate_hz)?,
-            start: self.start(&request.start, now_secs, &mut warnings)?,
+            start: self.start(request, now_secs, &mut warnings)?,
             warnings,
         })
     }
@@ -528,16 +528,18 @@ impl PrimitiveServer {
     /// policy makes of it.
     fn start(
         &self,
-        named: &[(String, f64)],
+        request: &SampleRequest,
         now_secs: f64,
         warnings: &mut Vec<String>,
     ) -> Result<Start, Refusal> {
-        let policy = self.settings.start_policy;
-        let positions = match named {
+        let policy = request.start_policy.unwrap_or(self.settings.start_policy);
+        let positions = match request.start.as_slice() {
             [] if policy == StartPolicy::Ignore => return Ok(Start::Anywhere),
             [] => match self.present(now_secs) {
                 Ok(positions) => positions,
-                Err(refusal) if policy == StartPolicy::Refuse => return Err(refusal),
+                Err(refusal) if policy == StartPolicy::Refuse || request.is_driven => {
+                    return Err(refusal);
+                }
                 Err(refusal) => {
                     let why = refusal.message;
                     warnings.push(format!(

@@ -1,6 +1,8 @@
 //! The program's verbs, one module each, and what they share.
 
 pub(crate) mod check;
+#[cfg(feature = "ros")]
+pub(crate) mod doctor;
 pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod inspect;

@@ -152,6 +152,7 @@ pub(crate) fn run(args: SampleArgs) -> anyhow::Result<ExitStatus> {
         rate_hz: args.rate_hz.unwrap_or_default(),
         rank_by: args.rank_by.into(),
         allow_out_of_distribution: args.allow_out_of_distribution,
+        ..SampleRequest::default()
     };
     let reply = server.sample(&request, 0.0);
     if let Some(path) = &args.plot

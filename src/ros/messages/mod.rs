@@ -6,14 +6,17 @@
 //! of the definition, for `tcvae_msgs` read from `msg/tcvae_msgs` itself.
 //!
 //! One module per ROS package. Of `rcl_interfaces` and `action_msgs`, ros2-client's own types
-//! serve. Units are ROS's: metres, radians, seconds, quaternions as (x, y, z, w).
+//! serve where it has them. Units are ROS's: metres, radians, seconds, quaternions as (x, y, z, w).
 
+mod actions;
 mod standard;
 pub mod tcvae_msgs;
 
+pub use actions::{action_msgs, control_msgs};
 pub use standard::{
-    builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, nav_msgs, sensor_msgs,
-    std_msgs, std_srvs, tf2_msgs, trajectory_msgs, visualization_msgs,
+    builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, nav_msgs, rcl_interfaces,
+    sensor_msgs, std_msgs, std_srvs, tf2_msgs, trajectory_msgs, type_description_interfaces,
+    visualization_msgs,
 };
 
 /// Marks structs as messages for ros2-client.

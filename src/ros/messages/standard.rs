@@ -599,3 +599,162 @@ pub mod std_srvs {
 
     super::super::messages!(TriggerRequest, TriggerResponse);
 }
+
+/// The levels of loggers; what else the package has, ros2-client has.
+pub mod rcl_interfaces {
+    use serde::{Deserialize, Serialize};
+
+    /// Which messages a logger lets through.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct LoggerLevel {
+        /// The logger.
+        pub name: String,
+        /// A constant of `Log.msg`, or 0 for that of the logger above it.
+        pub level: u32,
+    }
+
+    /// Whether a level was set.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct SetLoggerLevelsResult {
+        /// Whether it was.
+        pub successful: bool,
+        /// Why not.
+        pub reason: String,
+    }
+
+    /// The request of `srv/GetLoggerLevels`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "GetLoggerLevels_Request")]
+    pub struct GetLoggerLevelsRequest {
+        /// Which loggers.
+        pub names: Vec<String>,
+    }
+
+    /// The response of `srv/GetLoggerLevels`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "GetLoggerLevels_Response")]
+    pub struct GetLoggerLevelsResponse {
+        /// One for each name.
+        pub levels: Vec<LoggerLevel>,
+    }
+
+    /// The request of `srv/SetLoggerLevels`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "SetLoggerLevels_Request")]
+    pub struct SetLoggerLevelsRequest {
+        /// Which loggers, and their levels.
+        pub levels: Vec<LoggerLevel>,
+    }
+
+    /// The response of `srv/SetLoggerLevels`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "SetLoggerLevels_Response")]
+    pub struct SetLoggerLevelsResponse {
+        /// One for each level.
+        pub results: Vec<SetLoggerLevelsResult>,
+    }
+
+    super::super::messages!(
+        GetLoggerLevelsRequest,
+        GetLoggerLevelsResponse,
+        SetLoggerLevelsRequest,
+        SetLoggerLevelsResponse,
+    );
+}
+
+/// What types are made of.
+pub mod type_description_interfaces {
+    use serde::{Deserialize, Serialize};
+
+    /// The type of a field.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct FieldType {
+        /// A constant of `FieldType.msg`.
+        pub type_id: u8,
+        /// Elements of an array, or the most of a bounded sequence; 0 elsewhere.
+        pub capacity: u64,
+        /// The longest of a bounded string; 0 elsewhere.
+        pub string_capacity: u64,
+        /// The type that the field is of; empty for those built in.
+        pub nested_type_name: String,
+    }
+
+    /// A field.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct Field {
+        /// Its name.
+        pub name: String,
+        /// Its type.
+        pub r#type: FieldType,
+        /// As in the definition; empty where it has none.
+        pub default_value: String,
+    }
+
+    /// A type without those that it refers to.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct IndividualTypeDescription {
+        /// Its name, `package/msg/Name`.
+        pub type_name: String,
+        /// Its fields.
+        pub fields: Vec<Field>,
+    }
+
+    /// A type, and all that it refers to in the order of their names.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct TypeDescription {
+        /// The type itself.
+        pub type_description: IndividualTypeDescription,
+        /// Those that it refers to, directly and through others.
+        pub referenced_type_descriptions: Vec<IndividualTypeDescription>,
+    }
+
+    /// The text that a type comes from.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct TypeSource {
+        /// Its name.
+        pub type_name: String,
+        /// `msg`, `srv` or `action`.
+        pub encoding: String,
+        /// The text.
+        pub raw_file_contents: String,
+    }
+
+    /// A key and what it stands for.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct KeyValue {
+        /// The key.
+        pub key: String,
+        /// What it stands for.
+        pub value: String,
+    }
+
+    /// The request of `srv/GetTypeDescription`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "GetTypeDescription_Request")]
+    pub struct GetTypeDescriptionRequest {
+        /// `package/msg/Name`.
+        pub type_name: String,
+        /// `RIHS01_…`.
+        pub type_hash: String,
+        /// Whether the texts are wanted, too.
+        pub include_type_sources: bool,
+    }
+
+    /// The response of `srv/GetTypeDescription`.
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename = "GetTypeDescription_Response")]
+    pub struct GetTypeDescriptionResponse {
+        /// Whether the rest says anything.
+        pub successful: bool,
+        /// Why not.
+        pub failure_reason: String,
+        /// What the type is made of.
+        pub type_description: TypeDescription,
+        /// The texts.
+        pub type_sources: Vec<TypeSource>,
+        /// Nothing so far.
+        pub extra_information: Vec<KeyValue>,
+    }
+
+    super::super::messages!(GetTypeDescriptionRequest, GetTypeDescriptionResponse);
+}

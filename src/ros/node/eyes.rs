@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
+use ros2_client::builtin_interfaces::Time as StampTime;
 use tokio::sync::watch;
 use tokio::time::MissedTickBehavior;
 
@@ -71,6 +72,15 @@ impl Counts {
     }
 }
 
+/// A time as messages have it.
+pub(super) fn message_time(time: StampTime) -> Time {
+    let nanos = time.to_nanos();
+    Time {
+        sec: i32::try_from(nanos.div_euclid(1_000_000_000)).unwrap_or(i32::MAX),
+        nanosec: nanos.rem_euclid(1_000_000_000) as u32,
+    }
+}
+
 /// Tells once a second how the node is.
 pub(super) async fn diagnose(shared: Weak<Shared>) {
     let mut second = tokio::time::interval(Duration::from_secs(1));
@@ -78,7 +88,7 @@ pub(super) async fn diagnose(shared: Weak<Shared>) {
     loop {
         second.tick().await;
         let sent = with(&shared, |shared| {
-            let (stamp, status) = (shared.message_stamp(), shared.diagnostic());
+            let (stamp, status) = (message_time(shared.stamp()), shared.diagnostic());
             let header = Header { stamp, frame_id: String::new() };
             let array = DiagnosticArray { header, status: vec![status] };
             if let Err(e) = shared.diagnostics.publish(array) {
@@ -125,21 +135,13 @@ pub(super) async fn preview(
 }
 
 impl Shared {
-    pub(super) fn message_stamp(&self) -> Time {
-        let nanos = self.stamp().to_nanos();
-        Time {
-            sec: i32::try_from(nanos.div_euclid(1_000_000_000)).unwrap_or(i32::MAX),
-            nanosec: nanos.rem_euclid(1_000_000_000) as u32,
-        }
-    }
-
     fn show(&self, motion: &JointTrajectory, secs: f64) {
         let (mut name, mut position) = (motion.joint_names.clone(), motion.at(secs));
         for (other, at) in &self.state().server.robot().others {
             name.push(other.clone());
             position.push(*at);
         }
-        let header = Header { stamp: self.message_stamp(), frame_id: String::new() };
+        let header = Header { stamp: message_time(self.stamp()), frame_id: String::new() };
         let joints = JointState { header, name, position, ..JointState::default() };
         if let Err(e) = self.preview.publish(joints) {
             log::debug!("the preview could not be sent: {e}");

@@ -126,6 +126,7 @@ impl Shared {
             }
             if state.lifecycle == Lifecycle::Active {
                 self.previewed.send_replace(None);
+                self.execution.refuse(self.not_active(step.goal()));
             }
             state.move_to(step.goal());
             step
