@@ -20,7 +20,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PACKAGES = [ROOT / "msg" / "tcvae_msgs", HERE / "ros" / "tf2_msgs"]
+PACKAGES = [ROOT / "msg" / "tcvae_msgs", HERE / "ros" / "tf2_msgs", HERE / "ros" / "control_msgs"]
 
 
 def is_python312(candidate):

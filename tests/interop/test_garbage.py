@@ -1,0 +1,171 @@
+"""Bytes that are no messages: on every topic that the node hears, and at its ports. It goes on as before.
+
+TCVAE_GARBAGE says how many there are of each kind (10,000; the machine and not the node sets how fast they go).
+"""
+
+import os
+import random
+import socket
+import struct
+
+from conftest import start_node
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from tf2_msgs.msg import TFMessage
+from user import User, location, pose
+
+RCLError = rclpy_implementation.RCLError
+COUNT = int(os.environ.get("TCVAE_GARBAGE", "10000"))
+SOURCE = (0.60, 0.10)
+GOAL = (0.65, 0.37)
+# RTPS 2.5, 8.3.3.2 and 9.4.5: PAD, ACKNACK, HEARTBEAT, GAP, INFO_TS, INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY,
+# NACK_FRAG, HEARTBEAT_FRAG, DATA, DATA_FRAG, the security ones, and vendors' own.
+SUBMESSAGES = [0x01, 0x06, 0x07, 0x08, 0x09, 0x0C, 0x0D, 0x0E, 0x0F, 0x12, 0x13, 0x15, 0x16, 0x30, 0x31, 0x32, 0x33, 0x80]
+# Unknown, and the built-in endpoints for participants, publications and subscriptions, and their liveliness.
+ENTITIES = [0x0, 0x000100C2, 0x000100C7, 0x000003C2, 0x000003C7, 0x000004C2, 0x000004C7, 0x000200C2, 0x000200C7]
+
+
+def memory(process):
+    with open(f"/proc/{process.pid}/statm") as statm:
+        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def assert_serves(user):
+    user.publish_location("source_cup", *SOURCE)
+    joints, _, _ = user.ask(*GOAL)
+    assert len(joints.points) > 50
+
+
+def spoilt(chance, good):
+    """A serialised message with a few bytes changed, cut short, or replaced."""
+    data = bytearray(good)
+    kind = chance.randrange(4)
+    if kind == 0:
+        return bytes(chance.randbytes(chance.randrange(200)))
+    if kind == 1:
+        return bytes(data[: chance.randrange(len(data))])
+    for _ in range(chance.randrange(1, 6)):
+        # Not the first four, without which rclpy itself would not send it.
+        at = chance.randrange(4, len(data))
+        data[at] = chance.choice([0, 1, 0x7F, 0x80, 0xFF, chance.randrange(256)])
+    return bytes(data)
+
+
+def test_garbage_on_every_topic(node, user):
+    chance = random.Random(5)
+    joints = JointState(name=["left_s0"], position=[0.1])
+    transforms = TFMessage()
+    still = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    topics = [
+        (PoseStamped, "/tcvae/goal_pose", pose(*GOAL), 10),
+        (PointStamped, "/tcvae/source_cup", location("source_cup", *SOURCE).point, 10),
+        (PointStamped, "/tcvae/pour_location", location("pour_location", *GOAL).point, 10),
+        (JointState, "/joint_states", joints, 10),
+        (TFMessage, "/tf", transforms, 10),
+        (TFMessage, "/tf_static", transforms, still),
+    ]
+    publishers = [(user.matched(user.client.node.create_publisher(kind, name, qos)), serialize_message(good))
+                  for kind, name, good, qos in topics]
+    assert_serves(user)
+    sent = 0
+    for half in range(2):
+        for i in range(COUNT // 2):
+            for publisher, good in publishers:
+                try:
+                    publisher.publish(spoilt(chance, good))
+                    sent += 1
+                except RCLError:
+                    pass  # Nothing at all, which the middleware does not send.
+            if i % 50 == 0:
+                user.wait(0.05)
+        user.wait(1.0)
+        if half == 0:
+            # Spoilt goals are goals, too, and trajectories are kept for some seconds.
+            before = memory(node)
+    assert sent > 5 * COUNT
+    assert node._popen.poll() is None, node.output[-2000:]
+    assert "panicked" not in node.output
+    user.looked_at = len(user.joints)
+    assert_serves(user)
+    assert memory(node) < 1.1 * before + (8 << 20)
+
+
+def packet(chance):
+    """Something that looks the more like RTPS the longer one looks."""
+    kind = chance.randrange(10)
+    if kind == 0:
+        return chance.randbytes(chance.randrange(1400))
+    header = b"RTPS" + bytes([2, chance.choice([1, 2, 3, 4, 5, 9])]) + chance.choice([b"\x01\x0f", b"\x01\x12", b"\xff\xff"])
+    header += chance.randbytes(12)
+    if kind == 1:
+        return header[: chance.randrange(len(header))]
+    data = header
+    for _ in range(chance.randrange(1, 6)):
+        number, flags = chance.choice(SUBMESSAGES), chance.randrange(256)
+        order = "<" if flags & 1 else ">"
+        words = [chance.choice(ENTITIES), chance.choice(ENTITIES)]
+        body = struct.pack(">II", *words) if chance.random() < 0.5 else struct.pack(">II", *reversed(words))
+        if number in (0x15, 0x16):
+            body = struct.pack(order + "HH", 0, chance.choice([16, 28, 0, 65535])) + body
+        numbers = [chance.choice([0, 1, 2, 7, 0x7FFFFFFF, 0xFFFFFFFF, chance.getrandbits(32)])
+                   for _ in range(chance.randrange(2, 12))]
+        body += struct.pack(f"{order}{len(numbers)}I", *numbers)
+        if chance.random() < 0.5:
+            # A list of parameters: participant and endpoint discovery.
+            body += b"\x00\x03\x00\x00"
+            for _ in range(chance.randrange(8)):
+                length = chance.choice([0, 4, 8, 12, 16, 24, 65532])
+                body += struct.pack("<HH", chance.choice([0x15, 0x16, 0x50, 0x52, 0x5A, 0x05, 0x07, 0x02, 0x31, 0x32, 0x2C,
+                                                         0x58, chance.getrandbits(16)]), length)
+                body += chance.randbytes(min(length, 64))
+            body += b"\x01\x00\x00\x00"
+        length = chance.choice([len(body), len(body), len(body), 0, 65535, chance.randrange(65536)])
+        data += struct.pack(order.replace(">", ">") + "BBH", number, flags, length) + body
+    return data[:60000]
+
+
+def test_garbage_at_the_ports(start, make_client, domain):
+    node = start_node(start)
+    user = User(make_client())
+    assert_serves(user)
+    base = 7400 + 250 * domain
+    # Those of multicast, and those of the first participants; the node has one of these.
+    ports = [base, base + 1] + [base + 10 + offset for offset in range(8)]
+    chance, sender = random.Random(7), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    mine = {p for p in ports if owned(node.pid, p)}
+    assert len(mine) >= 2, "the node's ports were not found"
+    for half in range(2):
+        for i in range(COUNT * 5 // 2):
+            sender.sendto(packet(chance), ("127.0.0.1", chance.choice(sorted(mine))))
+            if i % 200 == 0:
+                user.wait(0.01)
+        user.wait(1.0)
+        if half == 0:
+            # What is kept of others for a while is kept by now.
+            before = memory(node)
+    assert node._popen.poll() is None, node.output[-2000:]
+    assert "panicked" not in node.output, node.output[-2000:]
+    user.looked_at = len(user.joints)
+    assert_serves(user)
+    assert memory(node) < 1.05 * before + (2 << 20)
+
+
+def owned(pid, port):
+    """Whether a process has this UDP port."""
+    inodes = set()
+    for name in os.listdir(f"/proc/{pid}/fd"):
+        try:
+            target = os.readlink(f"/proc/{pid}/fd/{name}")
+        except OSError:
+            continue
+        if target.startswith("socket:["):
+            inodes.add(target[8:-1])
+    with open("/proc/net/udp") as table:
+        for line in list(table)[1:]:
+            words = line.split()
+            if int(words[1].split(":")[1], 16) == port and words[9] in inodes:
+                return True
+    return False
