@@ -364,18 +364,22 @@ impl Shared {
     ) {
         let SendGoalRequest { goal_id, goal } = request;
         let stamp = self.stamp();
+        let (stop, stopped) = watch::channel(None);
         let accepted = {
             let mut goals = lock(&self.execution.goals);
             goals.forget(Instant::now());
-            goals.accept(goal_id, stamp)
+            let accepted = goals.accept(goal_id, stamp);
+            if accepted {
+                // While nobody can cancel it, who would find no way to stop it.
+                lock(&self.execution.stops).insert(goal_id, stop);
+            }
+            accepted
         };
         if !accepted {
             log::warn!("goal {goal_id:?} rejected: its id is known, or too many are under way");
             reply.send(SendGoalResponse { accepted, stamp });
             return;
         }
-        let (stop, stopped) = watch::channel(None);
-        lock(&self.execution.stops).insert(goal_id, stop);
         let activation = self.state().activation();
         // What is told of the goal comes after its acceptance.
         reply.send(SendGoalResponse { accepted, stamp });
