@@ -71,12 +71,12 @@ expect version "$(said '{{index .Labels "org.opencontainers.image.version"}}')" 
 
 say "what is in it"
 engine create --name unpacked tcvae >/dev/null
-engine export unpacked >"$scratch/root.tar"
+engine export unpacked >"$scratch/unpacked.tar"
 engine rm unpacked >/dev/null
-mkdir "$scratch/root"
-tar -C "$scratch/root" -xpf "$scratch/root.tar"
+mkdir "$scratch/unpacked"
+tar -C "$scratch/unpacked" -xpf "$scratch/unpacked.tar"
 # The engine makes the empty mount points of every container.
-find "$scratch/root" -mindepth 1 -type f -size +0 -printf '%P\n' | sort >"$scratch/files"
+find "$scratch/unpacked" -mindepth 1 -type f -size +0 -printf '%P\n' | sort >"$scratch/files"
 cat >"$scratch/wanted" <<'END'
 usr/local/bin/tcvae
 usr/local/bin/tcvae_node
@@ -85,9 +85,9 @@ usr/share/doc/tcvae/LICENSE-MIT
 END
 diff "$scratch/wanted" "$scratch/files" || fail "the image holds other files than it should, see above"
 cat "$scratch/files"
-[ "$(stat -c %a "$scratch/root/tmp")" = 1777 ] || fail "/tmp is not open to every user"
+[ "$(stat -c %a "$scratch/unpacked/tmp")" = 1777 ] || fail "/tmp is not open to every user"
 for program in tcvae tcvae_node; do
-    if readelf -lW "$scratch/root/usr/local/bin/$program" | grep -q INTERP; then
+    if readelf -lW "$scratch/unpacked/usr/local/bin/$program" | grep -q INTERP; then
         fail "$program is not static"
     fi
 done

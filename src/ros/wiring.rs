@@ -186,6 +186,7 @@ impl Wiring {
         let clients = Clients {
             participant: self.participant.clone(),
             answers: format!("rr{service}Reply"),
+            are_told: self.mapping == ServiceMapping::Enhanced,
             known: Mutex::default(),
         };
         self.node
@@ -357,8 +358,19 @@ struct Clients {
     participant: DomainParticipant,
     /// The topic of the answers, as DDS has it.
     answers: String,
-    /// The ends that are known by now; none where a program has several, which pick out what is theirs.
-    known: Mutex<BTreeMap<Gid, Option<GUID>>>,
+    /// Whether requests tell whose they are. Those of Cyclone's layout tell half of an id of their own.
+    are_told: bool,
+    /// The ends that are known by now.
+    known: Mutex<BTreeMap<Gid, End>>,
+}
+
+/// Where an answer goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// To the client's reader alone.
+    Reader(GUID),
+    /// To all clients, which pick out what is theirs.
+    All,
 }
 
 /// How long an answer waits for its client's end to be discovered, and how often that is looked for.
@@ -369,29 +381,44 @@ const MOST_CLIENTS: usize = 1000;
 
 impl Clients {
     /// Where the client that sends requests with this id hears answers, if that is known.
-    fn known(&self, client: Gid) -> Option<Option<GUID>> {
+    fn known(&self, client: Gid) -> Option<End> {
+        if !self.are_told {
+            return Some(End::All);
+        }
         self.known.lock().unwrap_or_else(PoisonError::into_inner).get(&client).copied()
     }
 
-    /// Looks for the client's end; whether it is there.
-    fn look_for(&self, client: Gid) -> bool {
-        // Its ends belong to one participant, whose id is the first 12 bytes of theirs.
-        let participant = |gid: Gid| gid.to_bytes16()[..12].to_vec();
+    /// Looks for the client's end.
+    fn look_for(&self, client: Gid) -> Option<End> {
         let readers = self.participant.discovered_readers();
-        let mut ends = readers.iter().filter_map(|reader| {
-            let guid = reader.reader_proxy.remote_reader_guid;
-            let is_its = participant(guid.into()) == participant(client)
-                && *reader.subscription_topic_data.topic_name() == self.answers;
-            is_its.then_some(guid)
-        });
-        let Some(first) = ends.next() else { return false };
-        let end = if ends.next().is_none() { Some(first) } else { None };
+        let ends = readers
+            .iter()
+            .filter(|reader| *reader.subscription_topic_data.topic_name() == self.answers)
+            .map(|reader| reader.reader_proxy.remote_reader_guid);
+        let end = end_of(client, ends)?;
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if known.len() >= MOST_CLIENTS {
             known.clear();
         }
         known.insert(client, end);
-        true
+        Some(end)
+    }
+}
+
+/// The end of a client among those of a service: the one whose id it gives, as Fast DDS does, or else the only one
+/// of its participant.
+fn end_of(client: Gid, ends: impl Iterator<Item = GUID>) -> Option<End> {
+    // Ids begin with 12 bytes of the participant.
+    let participant = |gid: Gid| gid.to_bytes16()[..12].to_vec();
+    let its: Vec<GUID> =
+        ends.filter(|end| participant((*end).into()) == participant(client)).collect();
+    match its.as_slice() {
+        [] => None,
+        [only] => Some(End::Reader(*only)),
+        several => {
+            let told = several.iter().find(|end| Gid::from(**end) == client);
+            Some(told.map_or(End::All, |end| End::Reader(*end)))
+        }
     }
 }
 
@@ -448,17 +475,11 @@ impl<Q: Message + Send + Sync + 'static, A: Message + Send + Sync + 'static> Rep
                 };
                 // From discovered to matched it is a step more.
                 tokio::time::sleep(LOOK).await;
-                let Some(service) = service.upgrade() else { return };
-                if found {
-                    let end = service.clients.known(id.writer_gid).flatten();
-                    return service.send(id, answer, end);
-                }
-                if Instant::now() > deadline {
-                    log::warn!(
-                        "an answer on {} is lost: its client has no end for it, {:.0} s later",
-                        service.clients.answers,
-                        DISCOVERY.as_secs_f64()
-                    );
+                let late = Instant::now() > deadline;
+                if let Some(end) = found.or(late.then_some(End::All)) {
+                    if let Some(service) = service.upgrade() {
+                        service.send(id, answer, end);
+                    }
                     return;
                 }
             }
@@ -467,9 +488,35 @@ impl<Q: Message + Send + Sync + 'static, A: Message + Send + Sync + 'static> Rep
 }
 
 impl<Q: Message + 'static, A: Message + 'static> Service<Q, A> {
-    fn send(&self, id: RmwRequestId, answer: A, end: Option<GUID>) {
-        if let Err(e) = self.server.send_response_to(id, answer, end) {
+    fn send(&self, id: RmwRequestId, answer: A, end: End) {
+        let reader = match end {
+            End::Reader(reader) => Some(reader),
+            End::All => None,
+        };
+        if let Err(e) = self.server.send_response_to(id, answer, reader) {
             log::warn!("an answer could not be sent: {e}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An id of a participant's end.
+    fn guid(participant: u8, end: u8) -> GUID {
+        let mut bytes = [participant; 16];
+        bytes[12..].copy_from_slice(&[0, 0, end, 4]);
+        GUID::from_bytes(bytes)
+    }
+
+    #[test]
+    fn an_answer_goes_to_the_end_that_is_told_or_the_only_one_there_is() {
+        let ends = || [guid(1, 1), guid(2, 1), guid(2, 2)].into_iter();
+        let of = |client: GUID| end_of(client.into(), ends());
+        assert_eq!(of(guid(1, 9)), Some(End::Reader(guid(1, 1))));
+        assert_eq!(of(guid(2, 2)), Some(End::Reader(guid(2, 2))));
+        assert_eq!(of(guid(2, 9)), Some(End::All));
+        assert_eq!(of(guid(3, 1)), None);
     }
 }

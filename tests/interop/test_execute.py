@@ -17,9 +17,9 @@ from controller import ACTION, START
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from pouring import Arm, Motion
-from rclpy.action import ActionClient, ActionServer
-from rclpy.action import CancelResponse
+from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
 from tcvae_msgs.action import Execute
 from tcvae_msgs.msg import ErrorCode
 from tcvae_msgs.srv import SampleTrajectory
@@ -93,13 +93,6 @@ class Executor:
             lambda: any(f.stage in ("approaching", "executing") for f in self.feedback), 10.0) is not None
 
 
-@pytest.fixture
-def node_at(start):
-    def start_at(*arguments):
-        return start_node(start, "--ros-args", *arguments)
-    return start_at
-
-
 def hears_joints(client):
     """Waits until the node knows where the arm is."""
     sample = client.service(SampleTrajectory, "/tcvae/sample_trajectory")
@@ -109,6 +102,14 @@ def hears_joints(client):
         return response.samples and not any("no joint states" in w for w in response.samples[0].warnings)
 
     assert wait_until(is_known, 10.0, every=0.1) is not None
+
+
+def ready(start, make_client, *arguments):
+    """A client of a node that knows where the arm is."""
+    start_node(start, *arguments)
+    executor = Executor(make_client())
+    hears_joints(executor.client)
+    return executor
 
 
 def test_a_goal_is_sampled_approached_and_driven_to_its_end(controller, start, make_client):
@@ -153,9 +154,7 @@ def test_a_goal_is_sampled_approached_and_driven_to_its_end(controller, start, m
 
 def test_a_rejected_motion_is_told(controller, start, make_client):
     robot = controller("reject")
-    start_node(start)
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client)
     status, result = executor.run()
     assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.CONTROLLER_REJECTED)
     assert ACTION in result.error_message and "rejected the motion" in result.error_message
@@ -164,9 +163,7 @@ def test_a_rejected_motion_is_told(controller, start, make_client):
 
 def test_an_aborted_motion_is_told_with_the_controllers_words(controller, start, make_client):
     controller("abort")
-    start_node(start)
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client)
     status, result = executor.run()
     assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.CONTROLLER_ABORTED)
     assert "PATH_TOLERANCE_VIOLATED: left_s0 is 0.3 rad off" in result.error_message
@@ -176,9 +173,7 @@ def test_an_aborted_motion_is_told_with_the_controllers_words(controller, start,
 
 def test_a_controller_that_stalls_is_told_to_stop(controller, start, make_client):
     robot = controller("stall")
-    start_node(start, "--ros-args", "-p", "execute.grace_s:=0.0")
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client, "--ros-args", "-p", "execute.grace_s:=0.0")
     status, result = executor.run()
     assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.CONTROLLER_ABORTED)
     assert "has not ended the motion" in result.error_message and "execute.grace_s" in result.error_message
@@ -187,9 +182,7 @@ def test_a_controller_that_stalls_is_told_to_stop(controller, start, make_client
 
 def test_cancelling_stops_the_robot(controller, start, make_client):
     robot = controller("stall")
-    start_node(start)
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client)
     handle = executor.send()
     executor.until_driven()
     answer = executor.until(handle.cancel_goal_async())
@@ -206,9 +199,7 @@ def test_cancelling_stops_the_robot(controller, start, make_client):
 
 def test_a_controller_that_does_not_stop_is_told_of(controller, start, make_client):
     robot = controller("deaf")
-    start_node(start, "--ros-args", "-p", "execute.timeout_s:=1.0")
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client, "--ros-args", "-p", "execute.timeout_s:=1.0")
     handle = executor.send()
     executor.until_driven()
     executor.until(handle.cancel_goal_async())
@@ -220,9 +211,7 @@ def test_a_controller_that_does_not_stop_is_told_of(controller, start, make_clie
 
 def test_a_controller_that_accepts_too_late_drives_nothing(controller, start, make_client):
     robot = controller("slow", speed=1.0)
-    start_node(start, "--ros-args", "-p", "execute.timeout_s:=1.0")
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client, "--ros-args", "-p", "execute.timeout_s:=1.0")
     status, result = executor.run()
     assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, ErrorCode.CONTROLLER_REJECTED)
     assert "did not answer within 1.0 s" in result.error_message
@@ -235,9 +224,7 @@ def test_a_controller_that_accepts_too_late_drives_nothing(controller, start, ma
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_controller_that_dies_is_missed(controller, start, make_client, number):
     robot = controller("stall")
-    start_node(start, "--ros-args", "-p", "execute.grace_s:=0.0", "-p", "execute.timeout_s:=1.0")
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client, "--ros-args", "-p", "execute.grace_s:=0.0", "-p", "execute.timeout_s:=1.0")
     handle = executor.send()
     executor.until_driven()
     robot.signal(number)
@@ -255,9 +242,7 @@ def test_a_controller_that_dies_is_missed(controller, start, make_client, number
 
 def test_a_second_goal_is_busy_while_one_drives(controller, start, make_client):
     robot = controller("stall")
-    start_node(start)
-    executor = Executor(make_client())
-    hears_joints(executor.client)
+    executor = ready(start, make_client)
     first = executor.send()
     executor.until_driven()
     status, result = executor.run()
@@ -345,12 +330,9 @@ class Theirs:
             handle.abort()
             return Execute.Result(error_code=ErrorCode.BAD_REQUEST)
         while not handle.is_cancel_requested:
-            future = self.client.node.create_future() if hasattr(self.client.node, "create_future") else None
-            if future is None:
-                from rclpy.task import Future
-                future = Future(executor=self.client.executor)
-            timer = self.client.node.create_timer(0.02, lambda: future.done() or future.set_result(None))
-            await future
+            moment = Future(executor=self.client.executor)
+            timer = self.client.node.create_timer(0.02, lambda: moment.done() or moment.set_result(None))
+            await moment
             timer.destroy()
         handle.canceled()
         return Execute.Result()

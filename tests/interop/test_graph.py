@@ -1,14 +1,15 @@
 """What the graph says of the node: types with their hashes, descriptions, loggers, endpoints that do not match."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 from conftest import start_node, wait_until
-from rcl_interfaces.msg import Log, LoggerLevel
+from geometry_msgs.msg import PointStamped
+from rcl_interfaces.msg import LoggerLevel
 from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tcvae_msgs.srv import SetManner
@@ -70,7 +71,6 @@ def test_types_are_described_as_by_rosidl(node, user, name):
     answer = user.call(GetTypeDescription, "get_type_description", type_name=name, type_hash=HASHES[name],
                        include_type_sources=True)
     assert answer.successful, answer.failure_reason
-    import sys
     path = Path(sys.prefix) / "share" / package / kind / f"{last}.json"
     expected = json.loads(path.read_text())["type_description_msg"]
 
@@ -114,8 +114,7 @@ def test_levels_of_loggers_are_set_while_the_node_runs(node, user):
     assert set_level(10).successful and level() == 10
     user.publish_location("source_cup", 0.6, 0.12)
     user.hears("source_cup is (0.600, 0.120)")
-    assert any(m.level == Log.DEBUG[0] if isinstance(Log.DEBUG, bytes) else m.level == Log.DEBUG
-               for m in user.log if "source_cup is" in m.msg)
+    assert {m.level for m in user.log if "source_cup is" in m.msg} == {10}
     assert set_level(40).successful and level() == 40
     before = len(user.log)
     user.call(SetManner, "set_manner", names=["no_such"], values=[1.0])
@@ -128,9 +127,7 @@ def test_levels_of_loggers_are_set_while_the_node_runs(node, user):
 
 def test_endpoints_that_do_not_match_are_told_of_once_with_the_fix(node, user):
     make = user.client.node
-    make.create_publisher(JointState, "/tcvae/source_cup_unrelated", 10)
     best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    from geometry_msgs.msg import PointStamped
     make.create_publisher(PointStamped, "/tcvae/source_cup", best_effort)
     user.hears("a publisher of /tcvae/source_cup does not match in reliability "
                "(best effort is offered, reliable requested)")
@@ -141,7 +138,6 @@ def test_endpoints_that_do_not_match_are_told_of_once_with_the_fix(node, user):
     assert user.said("--qos-durability volatile")
     user.wait(4.0)
     assert sum("source_cup does not match" in m.msg for m in user.log) == 1
-    assert not user.said("unrelated")
 
 
 def test_two_nodes_tell_the_same_hash_so_that_they_match(start, make_client):
