@@ -107,10 +107,10 @@ def apply(patch, root):
             raise SetupError(f"{patch.name}: '--- a/{name}' is not followed by '+++ b/{name}'")
         position += 2
         path = root / name
-        old = path.read_text().splitlines(keepends=True)
+        old = path.read_text().splitlines(keepends=True) if path.exists() else []  # a new file: @@ -0,0
         new, taken = [], 0
         while position < len(lines) and (hunk := HUNK.match(lines[position])):
-            start = int(hunk[1]) - 1
+            start = max(int(hunk[1]) - 1, 0)
             left, right = int(hunk[2] or 1), int(hunk[3] or 1)
             new += old[taken:start]
             taken = start

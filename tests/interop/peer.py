@@ -2,11 +2,17 @@
 
     python peer.py calls COUNT TIMEOUT    calls ~/sample_trajectory COUNT times, each for one motion
     python peer.py topics COUNT           publishes COUNT goals, one after the trajectory of the one before came
+    python peer.py watch                  calls four times a second, and publishes a goal every second, until SIGTERM
 
-Prints one line of JSON: {"answered", "wrong", "seconds": [...], "found": seconds until the node was found}.
+Prints one line of JSON: {"answered", "wrong", "seconds": [...], "found": seconds until the node was found}; for watch
+{"goals": [when published], "heard": [[when, which trajectory, when the node sent it]], "calls": [[when, when answered
+or null]]}, by the machine's monotonic clock, but for the node's, which is in nanoseconds of its system's clock.
 """
 
+import hashlib
 import json
+import random
+import signal
 import sys
 import time
 
@@ -20,8 +26,44 @@ from user import pose, task
 SOURCE = (0.60, 0.10)
 
 
+def watch(node, executor):
+    ended, told, open_calls = [], {"goals": [], "heard": [], "calls": []}, []
+    signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
+
+    def hear(message, about):
+        points = b"".join(point.positions.tobytes() for point in message.points)
+        told["heard"].append([time.monotonic(), hashlib.sha256(points).hexdigest(), about["source_timestamp"]])
+
+    node.create_subscription(JointTrajectory, "/tcvae/joint_trajectory", hear, 10)
+    goals = node.create_publisher(PoseStamped, "/tcvae/goal_pose", 10)
+    client = node.create_client(SampleTrajectory, "/tcvae/sample_trajectory")
+
+    def publish():
+        # Each is another one, and so is its trajectory.
+        told["goals"].append(time.monotonic())
+        goals.publish(pose(random.uniform(0.60, 0.70), random.uniform(0.36, 0.38)))
+
+    def call():
+        entry = [time.monotonic(), None]
+        told["calls"].append(entry)
+        future = client.call_async(SampleTrajectory.Request(task=task((0.65, 0.37), SOURCE)))
+        future.add_done_callback(lambda _: entry.__setitem__(1, time.monotonic()))
+        open_calls.append((entry[0], future))
+        # Those that the middleware gave up cost time at every turn.
+        while open_calls[0][0] < entry[0] - 10.0:
+            client.remove_pending_request(open_calls.pop(0)[1])
+
+    assert client.wait_for_service(30.0), "no service"
+    node.create_timer(1.0, publish)
+    node.create_timer(0.25, call)
+    print("watching", flush=True)
+    while not ended:
+        executor.spin_once(timeout_sec=0.05)
+    return told
+
+
 def main():
-    what, count = sys.argv[1], int(sys.argv[2])
+    what, count = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 0
     timeout = float(sys.argv[3]) if len(sys.argv) > 3 else 30.0
     rclpy.init()
     node = rclpy.create_node("peer")
@@ -35,6 +77,9 @@ def main():
             executor.spin_once(timeout_sec=0.05)
         return condition()
 
+    if what == "watch":
+        print(json.dumps(watch(node, executor)), flush=True)
+        return
     answered, wrong, seconds = 0, 0, []
     if what == "calls":
         client = node.create_client(SampleTrajectory, "/tcvae/sample_trajectory")

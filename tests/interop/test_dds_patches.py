@@ -4,9 +4,13 @@ The server is mostly tests/interop/server.rs: ros2-client on the patched rustdds
 its patch each of these tests fails; the figures are in the patches' headers.
 """
 
+import os
+import signal
 import statistics
+import sys
+from pathlib import Path
 
-from conftest import start_node, wait_until
+from conftest import Process, start_node, wait_until
 from std_srvs.srv import Trigger
 from tcvae_msgs.srv import SampleTrajectory
 from user import User
@@ -100,3 +104,38 @@ def test_a_reply_of_a_megabyte_arrives_quickly(start, client):
         took.append(round(seconds, 3))
     print("replies of 6300 points (1.3 MB), s:", took)
     assert statistics.median(took) < 1.5, took
+
+
+CALL_ONCE_AND_WAIT = f"""
+import rclpy
+from tcvae_msgs.srv import SampleTrajectory
+rclpy.init()
+node = rclpy.create_node("stands_still")
+client = node.create_client(SampleTrajectory, "{SERVICE}")
+client.wait_for_service()
+future = client.call_async(SampleTrajectory.Request(count=1))
+rclpy.spin_until_future_complete(node, future)
+print("answered", flush=True)
+rclpy.spin(node)
+"""
+
+
+def test_a_client_that_stands_still_holds_up_nobody(start, make_client, domain):
+    """It acknowledges nothing until it is given up, 20 s later; a writer sends 8192 samples ahead of the slowest."""
+    start_server(start)
+    client = make_client()
+    service = client.service(SampleTrajectory, SERVICE)
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+    still = Process(Path(sys.executable), ["-c", CALL_ONCE_AND_WAIT], environment)
+    try:
+        still.wait_for("answered", 20.0)
+        still.signal(signal.SIGSTOP)
+        slowest = 0.0
+        for _ in range(210):
+            futures = [service.call_async(SampleTrajectory.Request(count=1)) for _ in range(40)]
+            took = client.spin_until(lambda: all(future.done() for future in futures), 10.0)
+            assert took is not None, f"{sum(not future.done() for future in futures)} of 40 calls were not answered"
+            slowest = max(slowest, took)
+        print(f"8400 calls beside a client that stands still, the slowest 40 in {slowest:.2f} s")
+    finally:
+        still.kill()
