@@ -217,7 +217,27 @@ fn moveit_limits(yaml: &str) -> Result<BTreeMap<String, JointLimits>, String> {
 }
 
 fn read_text(path: &Path) -> Result<String, ConfigError> {
-    fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.into(), source })
+    text(path).map_err(|source| ConfigError::Read { path: path.into(), source })
+}
+
+/// The text of a file that a user names.
+///
+/// # Errors
+/// What the system says, in words that help; a file that is not UTF-8.
+pub fn text(path: &Path) -> io::Result<String> {
+    fs::read_to_string(path).map_err(|e| {
+        let words = match e.kind() {
+            io::ErrorKind::NotFound => {
+                "there is no such file; see where it is, and whether the path begins there"
+            }
+            io::ErrorKind::IsADirectory => "this is a directory; name a file in it",
+            io::ErrorKind::InvalidData => {
+                "this is not text (UTF-8); see whether it is the file that you mean"
+            }
+            _ => return e,
+        };
+        io::Error::new(e.kind(), words)
+    })
 }
 
 fn content(path: &Path, detail: &str) -> ConfigError {
@@ -239,6 +259,17 @@ mod tests {
         let (file, built_in) = (robot(Some(&path), arm).unwrap(), robot(None, arm).unwrap());
         assert_eq!(file.config, built_in.config);
         assert_eq!(file.chain, built_in.chain);
+    }
+
+    #[test]
+    fn what_is_no_file_of_text_is_told_in_words() {
+        let folder = tempfile::tempdir().unwrap();
+        let said = |path: &Path| text(path).unwrap_err().to_string();
+        assert!(said(&folder.path().join("none")).contains("no such file"));
+        assert!(said(folder.path()).contains("directory"));
+        let binary = folder.path().join("model");
+        fs::write(&binary, [0xff, 0xfe, 0x00]).unwrap();
+        assert!(said(&binary).contains("not text"));
     }
 
     #[test]

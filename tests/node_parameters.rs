@@ -34,8 +34,14 @@ impl Loader for Files {
     }
 
     fn robot(&self, files: &RobotFiles) -> Result<Robot, Refusal> {
-        assert_eq!(files.path(), "");
-        robot(BAXTER_URDF, files)
+        match files.path() {
+            "" => robot(BAXTER_URDF, files),
+            "a.toml" => {
+                let (base_frame, tip_link) = ("base".into(), "left_gripper".into());
+                robot(BAXTER_URDF, &RobotFiles { base_frame, tip_link, ..files.clone() })
+            }
+            other => panic!("{other}"),
+        }
     }
 }
 
@@ -98,12 +104,20 @@ fn a_start_refuses_values_that_are_none() {
         ("--ros-args -p sample.max_tries:=0", "[1, 1000]"),
         ("--ros-args -p model_path:=5", "model_path is not a string"),
         ("--ros-args -p tip_link:=no_such_link", "no_such_link"),
-        ("--robot a.toml --ros-args -p tip_link:=left_hand", "leave them empty"),
+        ("--robot a.toml --ros-args -p tip_link:=left_hand", "leave tip_link empty"),
+        ("--robot a.toml --ros-args -p urdf_path:=a.urdf", "leave one of them empty"),
         ("--ros-args -p task.source_cup.default:=[1,2,3]", "3 values"),
     ] {
         let refusal = start(line).unwrap_err();
         assert!(refusal.message.contains(words), "{refusal}");
     }
+}
+
+#[test]
+fn a_robots_own_frames_may_be_said_again() {
+    let again = "-p base_frame:=base -p tip_link:=left_gripper";
+    let (state, _) = start(&format!("--robot a.toml --ros-args {again}")).unwrap();
+    assert_eq!(state.robot_files().tip_link, "left_gripper");
 }
 
 /// A robot that calls its frames otherwise than the built-in one.

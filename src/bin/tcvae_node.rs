@@ -61,7 +61,7 @@ impl Loader for Files {
         let (urdf, rules) = match urdf_path.as_str() {
             "" => (BAXTER_URDF.to_owned(), RobotConfig::default().collision),
             path => {
-                let urdf = std::fs::read_to_string(path)
+                let urdf = config::text(Path::new(path))
                     .map_err(|e| Refusal::new(ErrorCode::BadFile, format!("{path}: {e}")))?;
                 (urdf, CollisionRules::default())
             }
@@ -129,7 +129,7 @@ fn print(text: &str) -> anyhow::Result<()> {
 fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let names = NodeNames::new("tcvae", &arguments.remaps)?;
     let environment = Environment::read(|name| std::env::var(name).ok())?;
-    let values = arguments.overrides(&names, |path| std::fs::read_to_string(path))?;
+    let values = arguments.overrides(&names, config::text)?;
     let log = NodeLog::install(&names.logger(), arguments)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)

@@ -8,7 +8,8 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::messages::type_description_interfaces::{
-    Field, FieldType, IndividualTypeDescription, TypeDescription, TypeSource,
+    Field, FieldType, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
+    IndividualTypeDescription, TypeDescription, TypeSource,
 };
 
 /// Interfaces of ROS's own packages.
@@ -287,6 +288,31 @@ pub fn hash(name: &str) -> Option<String> {
     Some(format!("RIHS01_{digits}"))
 }
 
+/// What `~/get_type_description` answers.
+pub fn answer(request: &GetTypeDescriptionRequest) -> GetTypeDescriptionResponse {
+    let GetTypeDescriptionRequest { type_name, type_hash, include_type_sources } = request;
+    let failed = |failure_reason: String| GetTypeDescriptionResponse {
+        failure_reason,
+        ..GetTypeDescriptionResponse::default()
+    };
+    let (Some(description), Some(hash)) = (description(type_name), hash(type_name)) else {
+        return failed(format!("this node has nothing of the type {type_name}"));
+    };
+    if !type_hash.is_empty() && *type_hash != hash {
+        return failed(format!("{type_name} has the hash {hash} here, not {type_hash}"));
+    }
+    let type_sources = match include_type_sources {
+        true => sources(&description),
+        false => Vec::new(),
+    };
+    GetTypeDescriptionResponse {
+        successful: true,
+        type_description: description,
+        type_sources,
+        ..GetTypeDescriptionResponse::default()
+    }
+}
+
 /// JSON on one line with a space after each comma and colon, as Python writes it.
 struct Spaced;
 
@@ -367,5 +393,21 @@ mod tests {
         assert_eq!(description("std_msgs/msg/Nothing"), None);
         assert_eq!(user_data("std_msgs/msg/Nothing"), b"");
         assert!(user_data("std_msgs/msg/String").starts_with(b"typehash=RIHS01_"));
+    }
+    #[test]
+    fn a_type_is_described_where_its_hash_is_right() {
+        let mut request = GetTypeDescriptionRequest {
+            type_name: "tcvae_msgs/msg/Sample".into(),
+            type_hash: hash("tcvae_msgs/msg/Sample").unwrap(),
+            include_type_sources: true,
+        };
+        let described = answer(&request);
+        assert!(described.successful, "{}", described.failure_reason);
+        assert!(described.type_sources.iter().any(|s| s.type_name == "tcvae_msgs/msg/Sample"));
+        request.type_hash = "RIHS01_0".into();
+        let refused = answer(&request);
+        assert!(!refused.successful && refused.failure_reason.contains("not RIHS01_0"));
+        request.type_name = "no/msg/Such".into();
+        assert!(answer(&request).failure_reason.contains("nothing of the type"));
     }
 }

@@ -4,6 +4,7 @@
 pub mod arguments;
 pub mod banner;
 pub mod convert;
+pub mod delays;
 pub mod doctor;
 pub mod environment;
 pub mod goals;

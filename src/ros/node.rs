@@ -9,7 +9,9 @@ mod managed;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering::Relaxed, Ordering::SeqCst};
+use std::sync::atomic::{
+    AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering::Relaxed, Ordering::SeqCst,
+};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
@@ -30,6 +32,7 @@ use tokio::task::{AbortHandle, JoinSet};
 
 use super::banner::{Banner, location_command};
 use super::convert::{self, Frames};
+use super::delays::Delays;
 use super::environment::Environment;
 use super::lane::{Lane, WAITING};
 use super::log::NodeLog;
@@ -54,7 +57,7 @@ use super::parameters::{self, Parameter};
 use super::participant::{self, ParticipantError};
 use super::state::{Loaded, Loader, NodeState};
 use super::tf::FrameTree;
-use super::wiring::{Reply, Wiring, WiringError, answer, each, latched, reliable};
+use super::wiring::{Reply, Wiring, WiringError, answer, each, each_from, latched, reliable};
 use crate::serving::{
     Description, ErrorCode, PrimitiveServer, Refusal, Sample, SampleReply, SampleRequest,
 };
@@ -95,6 +98,8 @@ struct Shared {
     /// Where frames are, and word of each that comes.
     tree: Mutex<FrameTree>,
     transforms_heard: Notify,
+    /// How long those took that publish locations.
+    delays: Arc<Mutex<Delays>>,
     /// Locations that came on topics, in their order, while the first of them waits for its transform.
     waiting: Mutex<VecDeque<Given>>,
     /// Requests that wait for transforms.
@@ -108,6 +113,9 @@ struct Shared {
     sampling: Lane,
     /// Whether a goal waits for its turn in the lane.
     goal_waits: AtomicBool,
+    /// How many goals came, and how many of them the last turn knew of; both change while the state is held.
+    goals_asked: AtomicU64,
+    goals_served: AtomicU64,
     joint_trajectory: Publisher<JointTrajectory>,
     end_effector_trajectory: Publisher<MultiDOFJointTrajectory>,
     end_effector_path: Publisher<Path>,
@@ -125,6 +133,9 @@ struct Shared {
     // Last, so that it outlives everything that communicates.
     context: Context,
 }
+
+/// How long a motion that was published may be on its way.
+const SOON: Duration = Duration::from_secs(2);
 
 /// What a sample is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -171,10 +182,14 @@ impl RunningNode {
         let (execution, executions) = Execution::new(&mut wiring)?;
         let mut tasks = JoinSet::new();
         let participants = wiring.participants::<ParticipantEntitiesInfo>(&context)?;
-        tasks.spawn(each(
-            participants,
-            warn_of_twin(names.clone(), context.participant_entities_info().gid()),
-        ));
+        let delays = Arc::<Mutex<Delays>>::default();
+        let heard = Arc::clone(&delays);
+        let mut see = warn_of_twin(names.clone(), context.participant_entities_info().gid());
+        tasks.spawn(each_from(participants, move |participant, info| {
+            // What a participant says first tells how long its messages take.
+            lock(&heard).hear(&info);
+            see(participant);
+        }));
         let shared = Arc::new(Shared {
             frames: Frames {
                 base: state.robot_files().base_frame.clone(),
@@ -185,17 +200,20 @@ impl RunningNode {
             state: Mutex::new(state),
             tree: Mutex::default(),
             transforms_heard: Notify::new(),
+            delays,
             waiting: Mutex::default(),
             requests_waiting: AtomicUsize::new(0),
             topics: Mutex::default(),
             publishing: Lane::new("publishing")?,
             sampling: Lane::new("sampling")?,
             goal_waits: AtomicBool::new(false),
-            joint_trajectory: wiring.publisher("~/joint_trajectory", trajectory, reliable(1))?,
+            goals_asked: AtomicU64::new(0),
+            goals_served: AtomicU64::new(0),
+            joint_trajectory: wiring.publisher("~/joint_trajectory", trajectory, soon())?,
             end_effector_trajectory: wiring.publisher(
                 "~/end_effector_trajectory",
                 poses,
-                reliable(1),
+                soon(),
             )?,
             end_effector_path: wiring.publisher(
                 "~/end_effector_path",
@@ -238,7 +256,8 @@ impl RunningNode {
         shared.serve_execute(executions, &mut tasks);
         shared.serve_introspection(&log, &mut tasks)?;
         let participant = shared.context.domain_participant();
-        tasks.spawn(introspection::warn_of_mismatches(participant));
+        let matched = shared.wiring().matched();
+        tasks.spawn(introspection::follow_matches(participant, matched));
         shared.sync_controller();
         tasks.spawn(eyes::diagnose(Arc::downgrade(&shared)));
         tasks.spawn(eyes::preview(Arc::downgrade(&shared), shared.previewed.subscribe()));
@@ -248,8 +267,8 @@ impl RunningNode {
             reliable(10),
         )?;
         let weak = Arc::downgrade(&shared);
-        tasks.spawn(each(goal_pose, move |goal: PoseStamped| {
-            with(&weak, |shared| shared.goal_pose(goal));
+        tasks.spawn(each_from(goal_pose, move |goal: PoseStamped, info| {
+            with(&weak, |shared| shared.goal_pose(goal, &info));
         }));
         for (topic, qos, is_static) in
             [("/tf", reliable(100), false), ("/tf_static", latched(100), true)]
@@ -309,6 +328,11 @@ impl RunningNode {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }
+}
+
+/// Reliable, for what must come soon or not at all.
+fn soon() -> QosProfile {
+    reliable(1).lifespan(Some(SOON))
 }
 
 /// Does something with the shared state, while it is there.
@@ -404,8 +428,8 @@ impl Shared {
                 let points = ("geometry_msgs", "PointStamped");
                 let points = wiring.subscription(topic, points, reliable(10))?;
                 let location = location.to_owned();
-                Box::pin(each(points, move |point: PointStamped| {
-                    with(&weak, |shared| shared.task_location(&location, point));
+                Box::pin(each_from(points, move |point: PointStamped, info| {
+                    with(&weak, |shared| shared.task_location(&location, point, &info));
                 }))
             }
             None => {
@@ -475,13 +499,19 @@ impl Shared {
         let shared = Arc::downgrade(self);
         lane.run(move || {
             let now = with(&shared, |shared| {
+                let state = shared.state();
                 if turn == Turn::Goal {
-                    // Before the state is read: a goal from here on needs a turn of its own.
+                    // A goal from here on needs a turn of its own; one that came between two turns was served by the
+                    // one before.
                     shared.goal_waits.store(false, SeqCst);
+                    let asked = shared.goals_asked.load(SeqCst);
+                    if shared.goals_served.swap(asked, SeqCst) == asked {
+                        return None;
+                    }
                 }
-                (shared.state().server.clone(), shared.now_secs())
+                Some((state.server.clone(), shared.now_secs()))
             });
-            let Some((server, now_secs)) = now else { return };
+            let Some((server, now_secs)) = now.flatten() else { return };
             let answered = catch_unwind(AssertUnwindSafe(|| server.sample(&request, now_secs)));
             let reply = answered.unwrap_or_else(|_| SampleReply {
                 samples: Vec::new(),

@@ -90,9 +90,10 @@ impl Parameter {
         };
         match self.range {
             Range::Any => {}
+            // Whole numbers have the step 1; decimals have none, as any value is taken.
             Range::Integer(from_value, to_value) => {
                 descriptor.integer_range =
-                    vec![raw::IntegerRange { from_value, to_value, step: 0 }];
+                    vec![raw::IntegerRange { from_value, to_value, step: 1 }];
             }
             Range::Double(from_value, to_value) => {
                 descriptor.floating_point_range =
@@ -100,6 +101,9 @@ impl Parameter {
             }
             Range::OneOf(words) => {
                 descriptor.additional_constraints = format!("one of {}", words.join(", "));
+                // Tools that show the description alone offer a field for any text.
+                descriptor.description =
+                    format!("{}: {}", descriptor.description, words.join(", "));
             }
         }
         descriptor

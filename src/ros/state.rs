@@ -68,6 +68,8 @@ pub struct NodeState {
     autostart: bool,
     /// How long a transform is waited for (s).
     pub tf_timeout_secs: f64,
+    /// How late a message may come that asks for a motion (s); 0 for any time.
+    pub max_delay_secs: f64,
     /// The action of the controller that `~/execute` has drive; empty for none.
     pub controller: String,
     /// How long the controller may take to appear, to accept and to stop (s).
@@ -103,6 +105,10 @@ const FIXED: [(&str, &str); 4] = [
 
 /// The parameter that says whether the node serves from the start.
 const AUTOSTART: &str = "autostart";
+
+/// The largest seed of a parameter: graphical tools, rqt's sliders among them, hold whole numbers in 32 bits, and show
+/// nothing at all of a node that has a larger range.
+const MOST_SEED: i64 = i32::MAX as i64;
 
 /// The height of a table that nothing can touch.
 const NO_TABLE_M: f64 = -10.0;
@@ -145,13 +151,24 @@ impl NodeState {
                     frame.clone_from(models);
                 }
             }
-        } else if [&files.urdf_path, &files.base_frame, &files.tip_link] != [""; 3] {
+        } else if !files.urdf_path.is_empty() {
             return Err(bad_request(
-                "robot_path says what urdf_path, base_frame and tip_link would; leave them empty"
-                    .into(),
+                "robot_path says what urdf_path would; leave one of them empty".into(),
             ));
         }
         let robot = loader.robot(&files)?;
+        // A file of parameters that was dumped from a node has the frames of the robot.
+        let frames = [
+            ("base_frame", &files.base_frame, robot.chain.base_frame()),
+            ("tip_link", &files.tip_link, robot.chain.tip_frame()),
+        ];
+        for (name, asked, robots) in frames {
+            if !asked.is_empty() && asked != robots {
+                return Err(bad_request(format!(
+                    "{name} is {asked:?}, and the robot's is {robots:?}; robot_path says it, so leave {name} empty"
+                )));
+            }
+        }
         files.base_frame = robot.chain.base_frame().to_owned();
         files.tip_link = robot.chain.tip_frame().to_owned();
         let server = PrimitiveServer::new(Arc::new(model), Arc::new(robot), Settings::default())?;
@@ -164,6 +181,7 @@ impl NodeState {
             activations: 0,
             autostart,
             tf_timeout_secs: 0.5,
+            max_delay_secs: 5.0,
             controller: "joint_trajectory_controller/follow_joint_trajectory".into(),
             controller_timeout_secs: 2.0,
             controller_grace_secs: 5.0,
@@ -293,6 +311,13 @@ impl NodeState {
             Range::Double(0.0, 1e9),
             P::Double(settings.max_age_secs),
         );
+        add(
+            "task.max_delay_s",
+            "How much longer (s) than other messages of its publisher one that asks for a motion may have been on its \
+             way, as when the network was gone; 0 for any time",
+            Range::Double(0.0, 3600.0),
+            P::Double(self.max_delay_secs),
+        );
         for (location, xy) in &self.defaults {
             add(
                 &default_name(location),
@@ -306,7 +331,7 @@ impl NodeState {
         }
         add(
             "manner.mode",
-            "Where the manner comes from: the parameters below, or a draw from the prior for \
+            "Where the manner comes from: the manner parameters, or a draw from the prior for \
              every motion",
             Range::OneOf(&["fixed", "prior"]),
             P::String(match settings.manner_mode {
@@ -326,8 +351,8 @@ impl NodeState {
         add(
             "sample.seed",
             "Seed of every draw; setting it starts the sequence again",
-            Range::Integer(0, i64::MAX),
-            P::Integer(i64::try_from(settings.seed).unwrap_or(i64::MAX)),
+            Range::Integer(0, MOST_SEED),
+            P::Integer(i64::try_from(settings.seed).unwrap_or(MOST_SEED)),
         );
         add(
             "sample.max_tries",
@@ -457,6 +482,7 @@ impl NodeState {
             ("publish_on_task", P::Boolean(value)) => self.publish_on_task = value,
             ("use_sim_time", P::Boolean(value)) => self.use_sim_time = value,
             ("tf.timeout_s", P::Double(value)) => self.tf_timeout_secs = value,
+            ("task.max_delay_s", P::Double(value)) => self.max_delay_secs = value,
             ("execute.timeout_s", P::Double(value)) => self.controller_timeout_secs = value,
             ("execute.grace_s", P::Double(value)) => self.controller_grace_secs = value,
             ("execute.controller", P::String(value)) => {

@@ -229,7 +229,8 @@ fn transform(
     let rotation = TfQuaternion::from_wxyz(r.w, r.x, r.y, r.z);
     let norm = rotation.norm();
     if (norm - 1.0).abs() > ROUNDED || norm.is_nan() {
-        return Err(format!("its rotation has the norm {norm:.3}; a unit quaternion is needed"));
+        let norm = if norm < 1e6 { format!("{norm:.3}") } else { format!("{norm:.0e}") };
+        return Err(format!("its rotation has the norm {norm}; a unit quaternion is needed"));
     }
     let rotation = rotation.normalize().map_err(|e| e.to_string())?;
     Transform::new(parent, child, Vector3::new(t.x, t.y, t.z), rotation, stamp)

@@ -1,7 +1,7 @@
 //! Endpoints by the names that ROS 2 users know: expanded and remapped, with types, their hashes, and QoS.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use futures::StreamExt;
@@ -12,8 +12,8 @@ use ros2_client::action::{
 use ros2_client::action_msgs::GoalStatusArray;
 use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
-    Client, Context, Gid, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher,
-    QosProfile, RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription,
+    Client, Context, Gid, Message, MessageInfo, MessageTypeName, Name, Node, NodeName, NodeOptions,
+    Publisher, QosProfile, RmwRequestId, Server, ServiceMapping, ServiceTypeName, Subscription,
 };
 use rustdds::{DomainParticipant, GUID};
 use serde::Serialize;
@@ -51,6 +51,14 @@ pub fn reliable(depth: usize) -> QosProfile {
         .history(History::KeepLast { depth })
 }
 
+/// How long after a message was lost its receiver wants to know of it.
+const LOST: Duration = Duration::from_millis(500);
+
+/// Of an end that receives: what is lost is asked for soon. A writer would not match others if it offered that.
+fn eager(qos: QosProfile) -> QosProfile {
+    qos.latency_budget(Some(LOST))
+}
+
 /// Reliable, and whoever joins late receives the latest `depth`.
 pub fn latched(depth: usize) -> QosProfile {
     reliable(depth).durability(Durability::TransientLocal)
@@ -62,6 +70,7 @@ pub struct Wiring {
     participant: DomainParticipant,
     names: NodeNames,
     mapping: ServiceMapping,
+    matched: Arc<Matched>,
 }
 
 impl Wiring {
@@ -83,7 +92,13 @@ impl Wiring {
         let node = context
             .new_node(name.map_err(|e| refused(e.to_string()))?, options)
             .map_err(|e| refused(e.to_string()))?;
-        Ok(Self { node, participant: context.domain_participant(), names, mapping })
+        let participant = context.domain_participant();
+        Ok(Self { node, participant, names, mapping, matched: Arc::default() })
+    }
+
+    /// What the owner is to tell which readers are matched.
+    pub fn matched(&self) -> Arc<Matched> {
+        Arc::clone(&self.matched)
     }
 
     /// The names that topics and services go by.
@@ -139,7 +154,7 @@ impl Wiring {
         qos: QosProfile,
     ) -> Result<Subscription<M>, WiringError> {
         let dds = self.node.create_topic(&parse(&topic)?, message, &qos);
-        dds.and_then(|dds| self.node.create_subscription(&dds, Some(qos)))
+        dds.and_then(|dds| self.node.create_subscription(&dds, Some(eager(qos))))
             .map_err(|e| WiringError::Refused { what: topic, reason: e.to_string() })
     }
 
@@ -188,10 +203,11 @@ impl Wiring {
             answers: format!("rr{service}Reply"),
             are_told: self.mapping == ServiceMapping::Enhanced,
             known: Mutex::default(),
+            matched: Arc::clone(&self.matched),
         };
         self.node
-            .create_server(self.mapping, &parse(&service)?, &kind, requests, answers)
-            .map(|server| Service { server, clients })
+            .create_server(self.mapping, &parse(&service)?, &kind, eager(requests), answers)
+            .map(|server| Service { server, clients, kept: Mutex::default() })
             .map_err(|e| WiringError::Refused { what: service, reason: e.to_string() })
     }
 
@@ -202,7 +218,7 @@ impl Wiring {
     {
         let (kind, requests, answers) = of.service();
         self.node
-            .create_client(self.mapping, &parse(&service)?, &kind, requests, answers)
+            .create_client(self.mapping, &parse(&service)?, &kind, requests, eager(answers))
             .map_err(|e| WiringError::Refused { what: service, reason: e.to_string() })
     }
 
@@ -278,8 +294,9 @@ impl Of<'_> {
     /// The type, and the QoS of requests and of answers, with the hashes of theirs.
     fn service(&self) -> (ServiceTypeName, QosProfile, QosProfile) {
         // Answers of many clients at once must not push each other out before they arrived.
-        let qos =
-            |name: &str, part: &str| reliable(100).user_data(user_data(&format!("{name}_{part}")));
+        let qos = |name: &str, part: &str| {
+            reliable(ANSWERS).user_data(user_data(&format!("{name}_{part}")))
+        };
         let (kind, name) = match self {
             Self::Package(package, kind) => {
                 (ServiceTypeName::new(package, kind), format!("{package}/srv/{kind}"))
@@ -337,10 +354,18 @@ pub async fn each<M: DeserializeOwned + 'static>(
     subscription: Subscription<M>,
     mut handle: impl FnMut(M),
 ) {
+    each_from(subscription, |message, _| handle(message)).await;
+}
+
+/// The same, with where each comes from.
+pub async fn each_from<M: DeserializeOwned + 'static>(
+    subscription: Subscription<M>,
+    mut handle: impl FnMut(M, MessageInfo),
+) {
     let mut messages = Box::pin(subscription.async_stream());
     while let Some(message) = messages.next().await {
         match message {
-            Ok((message, _)) => handle(message),
+            Ok((message, info)) => handle(message, info),
             Err(e) => log::debug!("a message that can't be read: {e}"),
         }
     }
@@ -350,6 +375,8 @@ pub async fn each<M: DeserializeOwned + 'static>(
 pub struct Service<Q: Message, A: Message> {
     server: Server<Q, A>,
     clients: Clients,
+    /// Answers whose clients' ends are not known yet, in their order.
+    kept: Mutex<BTreeMap<Gid, VecDeque<(RmwRequestId, A)>>>,
 }
 
 /// Where clients hear answers. Discovery is not of one piece: a client that has found the service may send a
@@ -362,6 +389,27 @@ struct Clients {
     are_told: bool,
     /// The ends that are known by now.
     known: Mutex<BTreeMap<Gid, End>>,
+    matched: Arc<Matched>,
+}
+
+/// The readers of others that a writer of ours sends to. One that is discovered is not yet one of them.
+#[derive(Debug, Default)]
+pub struct Matched(Mutex<BTreeSet<GUID>>);
+
+impl Matched {
+    fn readers(&self) -> MutexGuard<'_, BTreeSet<GUID>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes note of a reader.
+    pub fn insert(&self, reader: GUID) {
+        self.readers().insert(reader);
+    }
+
+    /// Forgets those that are gone.
+    pub fn retain(&self, are_there: impl Fn(GUID) -> bool) {
+        self.readers().retain(|reader| are_there(*reader));
+    }
 }
 
 /// Where an answer goes.
@@ -376,6 +424,10 @@ enum End {
 /// How long an answer waits for its client's end to be discovered, and how often that is looked for.
 const DISCOVERY: Duration = Duration::from_secs(10);
 const LOOK: Duration = Duration::from_millis(20);
+/// After this long an end that is discovered is taken as matched, should word of that have been lost.
+const MATCHING: Duration = Duration::from_secs(1);
+/// Requests, and answers of one client, that are kept.
+const ANSWERS: usize = 100;
 /// Clients that are remembered; with more, they are looked for again.
 const MOST_CLIENTS: usize = 1000;
 
@@ -385,7 +437,9 @@ impl Clients {
         if !self.are_told {
             return Some(End::All);
         }
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(&client).copied()
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        // One that was lost and came back is matched anew.
+        known.get(&client).copied().filter(|end| *end == End::All || self.is_matched(*end))
     }
 
     /// Looks for the client's end.
@@ -395,13 +449,26 @@ impl Clients {
             .iter()
             .filter(|reader| *reader.subscription_topic_data.topic_name() == self.answers)
             .map(|reader| reader.reader_proxy.remote_reader_guid);
-        let end = end_of(client, ends)?;
+        end_of(client, ends)
+    }
+
+    /// Whether what is sent to this end now arrives.
+    fn is_matched(&self, end: End) -> bool {
+        match end {
+            End::Reader(reader) => self.matched.readers().contains(&reader),
+            End::All => false,
+        }
+    }
+
+    fn remember(&self, client: Gid, end: End) {
+        if let End::Reader(reader) = end {
+            self.matched.insert(reader);
+        }
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if known.len() >= MOST_CLIENTS {
             known.clear();
         }
         known.insert(client, end);
-        Some(end)
     }
 }
 
@@ -464,30 +531,65 @@ impl<Q: Message + Send + Sync + 'static, A: Message + Send + Sync + 'static> Rep
             service.send(self.id, answer, end);
             return;
         }
+        let client = self.id.writer_gid;
+        if !service.keep(self.id, answer) {
+            return;
+        }
         drop(service);
-        let (service, id) = (Weak::clone(&self.service), self.id);
+        let service = Weak::clone(&self.service);
         self.runtime.spawn(async move {
-            let deadline = Instant::now() + DISCOVERY;
+            let asked = Instant::now();
+            let mut discovered = None;
             loop {
-                let found = match service.upgrade() {
-                    Some(service) => service.clients.look_for(id.writer_gid),
-                    None => return,
-                };
-                // From discovered to matched it is a step more.
-                tokio::time::sleep(LOOK).await;
-                let late = Instant::now() > deadline;
-                if let Some(end) = found.or(late.then_some(End::All)) {
-                    if let Some(service) = service.upgrade() {
-                        service.send(id, answer, end);
-                    }
-                    return;
+                let Some(service) = service.upgrade() else { return };
+                let found = service.clients.look_for(client);
+                if found.is_some() && discovered.is_none() {
+                    discovered = Some(Instant::now());
                 }
+                match found {
+                    Some(end)
+                        if service.clients.is_matched(end)
+                            || discovered.is_some_and(|then| then.elapsed() > MATCHING) =>
+                    {
+                        service.clients.remember(client, end);
+                        return service.send_kept(client, end);
+                    }
+                    None if asked.elapsed() > DISCOVERY => {
+                        return service.send_kept(client, End::All);
+                    }
+                    _ => {}
+                }
+                drop(service);
+                tokio::time::sleep(LOOK).await;
             }
         });
     }
 }
 
 impl<Q: Message + 'static, A: Message + 'static> Service<Q, A> {
+    /// Keeps an answer until its client's end is known; whether it is the first, and nobody looks for the end yet.
+    fn keep(&self, id: RmwRequestId, answer: A) -> bool {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.len() >= MOST_CLIENTS && !kept.contains_key(&id.writer_gid) {
+            drop(kept);
+            self.send(id, answer, End::All);
+            return false;
+        }
+        let answers = kept.entry(id.writer_gid).or_default();
+        if answers.len() >= ANSWERS {
+            answers.pop_front();
+        }
+        answers.push_back((id, answer));
+        answers.len() == 1
+    }
+
+    fn send_kept(&self, client: Gid, end: End) {
+        let answers = self.kept.lock().unwrap_or_else(PoisonError::into_inner).remove(&client);
+        for (id, answer) in answers.into_iter().flatten() {
+            self.send(id, answer, end);
+        }
+    }
+
     fn send(&self, id: RmwRequestId, answer: A, end: End) {
         let reader = match end {
             End::Reader(reader) => Some(reader),

@@ -20,6 +20,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
 
 import rclpy  # noqa: E402  (after its environment is set)
+from rclpy.action import ActionClient  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -167,6 +168,10 @@ class Client:
     def close(self):
         if self.context.ok():
             self.executor.shutdown()
+            # destroy_node leaves them, and with them the participant: the next test in this domain would meet it.
+            for waitable in list(self.node.waitables):
+                if isinstance(waitable, ActionClient):
+                    waitable.destroy()
             self.node.destroy_node()
             rclpy.shutdown(context=self.context)
 

@@ -1,5 +1,6 @@
 """The node as a ROS 2 user meets it: names, parameters, environment, start and end."""
 
+import json
 import os
 import signal
 import socket
@@ -8,7 +9,7 @@ import time
 
 import pytest
 from builtin_interfaces.msg import Time
-from conftest import start_node, wait_until
+from conftest import ROOT, start_node, wait_until
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import (
@@ -112,6 +113,10 @@ def test_parameters_have_descriptions_types_and_ranges(node, user):
     (bounds,) = by_name["sample.max_tries"].integer_range
     assert (bounds.from_value, bounds.to_value) == (1, 1000)
     assert by_name["manner.mode"].additional_constraints == "one of fixed, prior"
+    assert "fixed, prior" in by_name["manner.mode"].description
+    # rqt's sliders hold 32 bits, and with a larger range it shows nothing of what comes after.
+    whole = [bounds for d in descriptors for bounds in d.integer_range]
+    assert whole and all(bounds.to_value < 2**31 and bounds.step == 1 for bounds in whole)
 
 
 def test_every_range_is_what_is_accepted(node, user):
@@ -168,6 +173,29 @@ def test_what_a_dump_holds_can_be_loaded_again(node, user):
     answer = user.call(SetParameters, "set_parameters", parameters=[empty])
     assert answer.results[0].successful, answer.results[0].reason
     assert len(user.parameter("task.source_cup.default")) == 0
+
+
+def test_a_dump_of_a_node_with_a_robot_file_starts_another(start, make_client, tmp_path):
+    first = start_node(start, "--robot", str(ROOT / "config" / "robots" / "baxter.toml"))
+    user = User(make_client())
+    names = user.call(ListParameters, "list_parameters").result.names
+    nested = {}
+    for name in names:
+        *levels, leaf = name.split(".")
+        at = nested
+        for level in levels:
+            at = at.setdefault(level, {})
+        found = user.parameter(name)
+        at[leaf] = list(found) if hasattr(found, "typecode") else found
+    dump = tmp_path / "tcvae.yaml"
+    dump.write_text(json.dumps({"/tcvae": {"ros__parameters": nested}}))
+    before = {name: user.parameter(name) for name in names}
+    first.signal(signal.SIGINT)
+    assert first.wait() == 0
+    start_node(start, "--ros-args", "--params-file", str(dump))
+    # Until the other one's services are found.
+    user.wait(1.0)
+    assert {name: user.parameter(name) for name in names} == before
 
 
 def test_setting_atomically_is_all_or_nothing(node, user):

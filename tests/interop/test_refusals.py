@@ -419,6 +419,8 @@ def ends(start, *arguments, **environment):
     (["--urdf", str(ROOT / "Cargo.toml")], 3, ["BAD_FILE (51)", "URDF"]),
     (["--urdf", str(ROOT / "tests/fixtures/odd_arm.urdf")], 3, ["ROBOT_MISMATCH (50)"]),
     (["--ros-args", "-p", "base_frame:=moon"], 3, ["ROBOT_MISMATCH (50)", "moon"]),
+    (["--robot", str(ROOT / "config/robots/baxter.toml"), "--ros-args", "-p", "base_frame:=moon"], 2,
+     ["moon", "leave base_frame empty"]),
     (["--ros-args", "-p", "tip_link:=right_gripper"], 3, ["ROBOT_MISMATCH (50)", "right_s0"]),
 ])
 def test_a_start_that_can_not_serve_says_why(start, arguments, code, words):

@@ -118,6 +118,20 @@ pub mod control_msgs {
         pub error: JointTrajectoryPoint,
     }
 
+    impl FollowJointTrajectoryFeedback {
+        /// The largest deviation of a joint (rad): as the controller tells it, or else of where the joints are from
+        /// where they should be.
+        pub fn largest_error(&self) -> f64 {
+            let found =
+                self.desired.positions.iter().zip(&self.actual.positions).map(|(d, a)| d - a);
+            let errors: Vec<f64> = match self.error.positions.as_slice() {
+                [] => found.collect(),
+                told => told.to_vec(),
+            };
+            errors.iter().map(|e| e.abs()).filter(|e| e.is_finite()).fold(0.0, f64::max)
+        }
+    }
+
     super::super::messages!(
         FollowJointTrajectoryGoal,
         FollowJointTrajectoryResult,

@@ -197,8 +197,7 @@ impl Controller {
                 Ok(Err(e)) => Err(e.to_string()),
             };
             if let Err(Ok(true)) = sender.send(answer) {
-                log::warn!("{} accepted a goal too late; it is canceled", controller.client.action);
-                controller.cancel(goal_id);
+                controller.stop_late(goal_id).await;
             }
         });
         let action = &self.client.action;
@@ -218,6 +217,34 @@ impl Controller {
                      see whether it runs",
                     timeout.as_secs_f64()
                 ))))
+            }
+        }
+    }
+
+    /// Tells the controller to stop a goal that it accepted too late, until it says how that ended. Nothing is dropped
+    /// before: a controller does not read what it has of a client that has left.
+    async fn stop_late(&self, goal_id: GoalId) {
+        let action = &self.client.action;
+        log::warn!("{action} accepted a goal too late; it is canceled");
+        let asked = self.client.results.async_call_service(GetResultRequest { goal_id });
+        let told = async {
+            let mut repeat = tokio::time::interval(REPEAT);
+            loop {
+                repeat.tick().await;
+                if !self.is_there() {
+                    return;
+                }
+                self.cancel(goal_id);
+            }
+        };
+        tokio::select! {
+            answer = asked => match answer {
+                Ok(answer) => log::info!("{action} ended that goal: {:?}", answer.status),
+                Err(e) => log::error!("{action} gave no result that can be read: {e}; see whether the arm moves"),
+            },
+            () = told => log::error!("{action} left with that goal; nobody knows what the arm does now"),
+            () = tokio::time::sleep(LATE) => {
+                log::error!("{action} does not say that it ended that goal; the arm may still move");
             }
         }
     }
@@ -601,7 +628,7 @@ impl Shared {
                     if let Ok((FeedbackMessage { goal_id, feedback }, _)) = message
                         && goal_id == drive
                     {
-                        error = error.max(tracking_error(&feedback));
+                        error = error.max(feedback.largest_error());
                     }
                 }
                 stop = reason(stopped), if stopping.is_none() => {
@@ -689,19 +716,5 @@ fn ended(stop: Stop, sample: Option<Box<Sample>>) -> End {
     match stop {
         Stop::Canceled => End::Canceled,
         Stop::Refused(refusal) => End::Failed(refusal, sample),
-    }
-}
-
-/// The largest deviation of a joint (rad) that a controller tells.
-fn tracking_error(feedback: &FollowJointTrajectoryFeedback) -> f64 {
-    let FollowJointTrajectoryFeedback { desired, actual, error, .. } = feedback;
-    let told = error.positions.iter().map(|error| error.abs());
-    let found = desired.positions.iter().zip(&actual.positions).map(|(d, a)| (d - a).abs());
-    let largest = |errors: &mut dyn Iterator<Item = f64>| {
-        errors.filter(|error| error.is_finite()).fold(0.0, f64::max)
-    };
-    match error.positions.is_empty() {
-        false => largest(&mut { told }),
-        true => largest(&mut { found }),
     }
 }

@@ -13,11 +13,9 @@ use super::super::messages::rcl_interfaces::{
     GetLoggerLevelsRequest, GetLoggerLevelsResponse, LoggerLevel, SetLoggerLevelsRequest,
     SetLoggerLevelsResponse, SetLoggerLevelsResult,
 };
-use super::super::messages::type_description_interfaces::{
-    GetTypeDescriptionRequest, GetTypeDescriptionResponse,
-};
+use super::super::messages::type_description_interfaces::GetTypeDescriptionRequest;
 use super::super::mismatch::{mismatch, ros_name};
-use super::super::wiring::{Reply, WiringError, answer};
+use super::super::wiring::{Matched, Reply, WiringError, answer};
 use super::Shared;
 
 impl Shared {
@@ -33,7 +31,7 @@ impl Shared {
         tasks.spawn(answer(
             server,
             move |request: GetTypeDescriptionRequest, reply: Reply<_, _>| {
-                reply.send(type_description(&request));
+                reply.send(interfaces::answer(&request));
                 async {}
             },
         ));
@@ -67,34 +65,9 @@ impl Shared {
     }
 }
 
-fn type_description(request: &GetTypeDescriptionRequest) -> GetTypeDescriptionResponse {
-    let GetTypeDescriptionRequest { type_name, type_hash, include_type_sources } = request;
-    let failed = |failure_reason: String| GetTypeDescriptionResponse {
-        failure_reason,
-        ..GetTypeDescriptionResponse::default()
-    };
-    let (Some(description), Some(hash)) =
-        (interfaces::description(type_name), interfaces::hash(type_name))
-    else {
-        return failed(format!("this node has nothing of the type {type_name}"));
-    };
-    if !type_hash.is_empty() && *type_hash != hash {
-        return failed(format!("{type_name} has the hash {hash} here, not {type_hash}"));
-    }
-    let type_sources = match include_type_sources {
-        true => interfaces::sources(&description),
-        false => Vec::new(),
-    };
-    GetTypeDescriptionResponse {
-        successful: true,
-        type_description: description,
-        type_sources,
-        ..GetTypeDescriptionResponse::default()
-    }
-}
-
-/// Warns once of every endpoint of others that speaks of the same topic and does not match.
-pub(super) async fn warn_of_mismatches(participant: DomainParticipant) {
+/// Takes note of the readers that are matched, and warns once of every endpoint of others that speaks of the same topic
+/// and does not match.
+pub(super) async fn follow_matches(participant: DomainParticipant, matched: Arc<Matched>) {
     let listener = participant.status_listener();
     let mut events = Box::pin(listener.as_async_status_stream());
     let mut known: BTreeSet<GUID> = BTreeSet::new();
@@ -125,9 +98,12 @@ pub(super) async fn warn_of_mismatches(participant: DomainParticipant) {
                 let topic = writer.map(|w| w.publication_topic_data.topic_name().clone());
                 warn(topic, "publisher", &offered_qos, &requested_qos);
             }
+            Event::RemoteReaderMatched { remote_reader, .. } => matched.insert(remote_reader),
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
                 known.remove(&guid);
+                matched.retain(|reader| reader != guid);
             }
+            Event::ParticipantLost { id, .. } => matched.retain(|reader| reader.prefix != id),
             _ => {}
         }
     }
@@ -139,26 +115,4 @@ fn warn(topic: Option<String>, theirs: &str, offered: &QosPolicies, requested: &
     let is_subscription = theirs == "subscription";
     let (fact, fixes) = mismatch(topic, &format!("a {theirs}"), offered, requested);
     log::warn!("{fact}; {}", if is_subscription { fixes.subscription } else { fixes.publisher });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_type_is_described_where_its_hash_is_right() {
-        let mut request = GetTypeDescriptionRequest {
-            type_name: "tcvae_msgs/msg/Sample".into(),
-            type_hash: interfaces::hash("tcvae_msgs/msg/Sample").unwrap(),
-            include_type_sources: true,
-        };
-        let described = type_description(&request);
-        assert!(described.successful, "{}", described.failure_reason);
-        assert!(described.type_sources.iter().any(|s| s.type_name == "tcvae_msgs/msg/Sample"));
-        request.type_hash = "RIHS01_0".into();
-        let refused = type_description(&request);
-        assert!(!refused.successful && refused.failure_reason.contains("not RIHS01_0"));
-        request.type_name = "no/msg/Such".into();
-        assert!(type_description(&request).failure_reason.contains("nothing of the type"));
-    }
 }

@@ -1,8 +1,11 @@
 //! Where the task is: locations from topics, in whatever frame, in the order in which they came; and the transforms
 //! that some of them wait for.
 
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
+
+use ros2_client::MessageInfo;
 
 use super::super::lifecycle::Lifecycle;
 use super::super::messages::geometry_msgs::{PointStamped, PoseStamped};
@@ -19,6 +22,8 @@ pub(super) struct Given {
     received: Instant,
     /// Which time that the node was active it came in; none where it was not.
     activation: Option<u64>,
+    /// How much longer than others it was on its way (s).
+    delay_secs: f64,
 }
 
 impl Given {
@@ -66,22 +71,35 @@ async fn work_off(shared: Weak<Shared>) {
 
 impl Shared {
     /// A goal pose sets the first location of the task, and asks for a trajectory.
-    pub(super) fn goal_pose(self: &Arc<Self>, goal: PoseStamped) {
+    pub(super) fn goal_pose(self: &Arc<Self>, goal: PoseStamped, info: &MessageInfo) {
         let location = self.state().server.goal_location().to_owned();
         let PoseStamped { header, pose } = goal;
-        self.given(location, PointStamped { header, point: pose.position }, true);
+        self.given(location, PointStamped { header, point: pose.position }, true, info);
     }
 
     /// A location of the task; it asks for a trajectory only with `publish_on_task`.
-    pub(super) fn task_location(self: &Arc<Self>, location: &str, point: PointStamped) {
-        self.given(location.to_owned(), point, false);
+    pub(super) fn task_location(
+        self: &Arc<Self>,
+        location: &str,
+        point: PointStamped,
+        info: &MessageInfo,
+    ) {
+        self.given(location.to_owned(), point, false, info);
     }
 
     /// Takes note of a location, now if it is known where it is; else when it is, or not at all. Those that come
     /// after one that waits wait for their turn, so that they count in their order.
-    fn given(self: &Arc<Self>, location: String, point: PointStamped, is_goal: bool) {
+    fn given(
+        self: &Arc<Self>,
+        location: String,
+        point: PointStamped,
+        is_goal: bool,
+        info: &MessageInfo,
+    ) {
         let activation = self.state().activation();
-        let given = Given { location, point, is_goal, received: Instant::now(), activation };
+        let delay_secs = lock(&self.delays).hear(info);
+        let received = Instant::now();
+        let given = Given { location, point, is_goal, received, activation, delay_secs };
         let mut waiting = lock(&self.waiting);
         let located = self.locate(&given);
         let waits = matches!(&located, Err(refusal) if given.may_wait(refusal));
@@ -117,14 +135,28 @@ impl Shared {
 
     /// What becomes of a location. Nobody else's may be carried out meanwhile: the caller holds those that wait.
     fn carry_out(self: &Arc<Self>, given: &Given, located: Result<GivenLocation, Refusal>) {
-        let publish = given.is_goal || self.state().publish_on_task;
-        let done =
-            located.and_then(|location| self.set_location(&location)).and_then(
-                |()| match publish {
-                    true => self.publish_latest(given.received, given.activation),
-                    false => Ok(()),
-                },
-            );
+        let (publish, max_delay_secs) = {
+            let state = self.state();
+            (given.is_goal || state.publish_on_task, state.max_delay_secs)
+        };
+        let done = located.and_then(|location| {
+            // Nobody expects the arm to move for it any more.
+            if publish && max_delay_secs > 0.0 && given.delay_secs > max_delay_secs {
+                let delay = given.delay_secs;
+                return Err(Refusal::new(
+                    ErrorCode::StaleTask,
+                    format!(
+                        "it came {delay:.1} s late, as when the network was gone; task.max_delay_s is \
+                         {max_delay_secs:.1} s; publish it again"
+                    ),
+                ));
+            }
+            self.set_location(&location, publish)?;
+            match publish {
+                true => self.publish_latest(given.received, given.activation),
+                false => Ok(()),
+            }
+        });
         if let Err(refusal) = done {
             lock(&self.counts).turned_away(&refusal);
             log::warn!("{} refused: {refusal}", given.what());
@@ -172,13 +204,17 @@ impl Shared {
         self.transforms_heard.notify_waiters();
     }
 
-    fn set_location(&self, location: &GivenLocation) -> Result<(), Refusal> {
+    /// Takes note of a location, and of whether it asks for a motion.
+    fn set_location(&self, location: &GivenLocation, publish: bool) -> Result<(), Refusal> {
         let now_secs = self.now_secs();
         let mut state = self.state();
         if let Lifecycle::Unconfigured | Lifecycle::Finalized = state.lifecycle {
             return Err(self.not_active(state.lifecycle));
         }
         state.server.set_location(&location.name, location.xy, now_secs)?;
+        if publish {
+            self.goals_asked.fetch_add(1, SeqCst);
+        }
         log::debug!("{} is ({:.3}, {:.3})", location.name, location.xy[0], location.xy[1]);
         Ok(())
     }
